@@ -274,17 +274,14 @@ def boxes(variables: Sequence[Variable], points: Vector, unit: Vector | None = N
 
 def ranking_criterion(landscape: Landscape, judge: Judge) -> Callable[[Vector], Vector]:
     """Return the function from designs, a row each, to the values by which they are ranked, in units of the merit."""
+    if _judged_bare(landscape, judge):
+        return lambda points: landscape(points).merit
+    return lambda points: np.asarray(np.median(_objectives(landscape, points), axis=1))
 
-    def bare(points: Vector) -> Vector:
-        return landscape(points).merit
 
-    def over_tolerances(points: Vector) -> Vector:
-        median: Vector = np.median(_objectives(landscape, points), axis=1)
-        return median
-
+def _judged_bare(landscape: Landscape, judge: Judge) -> bool:
     # A program over a whole tolerance box accounts for the tolerances already.
-    samples_boxes = landscape.program.bare is None and landscape.vectorised
-    return over_tolerances if judge == "tolerance" and samples_boxes else bare
+    return judge == "bare" or not landscape.vectorised or landscape.program.bare is not None
 
 
 def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
@@ -296,8 +293,7 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     if len(points) == 1:
         return [0]
     own = landscape(points, finer=FINER).f
-    # A program over a whole tolerance box accounts for the tolerances already.
-    if judge == "bare" or not landscape.vectorised or landscape.program.bare is not None:
+    if _judged_bare(landscape, judge):
         return [int(k) for k in np.argsort(own, kind="stable")]
     low, median, high = np.quantile(_objectives(landscape, points, FINER), (0.25, 0.5, 0.75), axis=1, method="higher")
     error = _MEDIAN_ERROR * np.where(np.isfinite(high), high - low, np.inf)

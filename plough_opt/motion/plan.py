@@ -298,7 +298,7 @@ def automatic(method: str, wanted: float, p: Mapping[str, float], duration: floa
     if method == "erk":
         return Accuracy(method, tolerance=max(0.01 * wanted, TIGHTEST))
     enough = steps_for(rates(p).summed * duration, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
-    return _order_8(_rounded(max(math.ceil(enough / _CHECK_STEPS), fewest_steps(p))))
+    return _order_8(rounded_up(max(math.ceil(enough / _CHECK_STEPS), fewest_steps(p))))
 
 
 def first_steps(scene: Scene, duration: float, wanted: float) -> int:
@@ -310,7 +310,7 @@ def first_steps(scene: Scene, duration: float, wanted: float) -> int:
     phase = rates_of(scene).summed * duration
     usual = steps_for(phase, min(_SHORT_PHASE * (wanted / DEFAULT_ERROR) ** 0.125, _LONG_PHASE))
     enough = usual if usual <= _FEW_STEPS else steps_for(phase, _LONG_PHASE)
-    return _rounded(max(enough, fewest_steps(numbers_of(scene))))
+    return rounded_up(max(enough, fewest_steps(numbers_of(scene))))
 
 
 def next_steps(steps: int, error: float, wanted: float) -> int:
@@ -322,11 +322,11 @@ def next_steps(steps: int, error: float, wanted: float) -> int:
         wanted: error to reach.
     """
     if error > _LARGEST_KNOWN_ERROR:
-        return _rounded(math.ceil(_BLIND_REFINEMENT * steps), 5)
+        return rounded_up(math.ceil(_BLIND_REFINEMENT * steps), 5)
     by_law = math.ceil(_SAFETY * steps * (error / wanted) ** _ERROR_EXPONENT)
     if by_law <= _NEARLY * (checked := int(steps / _CHECK_STEPS)):
         return checked
-    return max(_rounded(math.ceil(_LEAST_REFINEMENT * steps), 5), _rounded(by_law, 5))
+    return max(rounded_up(math.ceil(_LEAST_REFINEMENT * steps), 5), rounded_up(by_law, 5))
 
 
 def has_lost_order(steps: int, error: float, fewer: int, error_before: float) -> bool:
@@ -351,7 +351,7 @@ def coarser(steps: int) -> int:
     return math.ceil(_CHECK_STEPS * steps)
 
 
-def _rounded(steps: int, digits: int = 3) -> int:
+def rounded_up(steps: int, digits: int = 3) -> int:
     """Return a number rounded up to some binary digits, so that similar scenes share one loop over steps."""
     unit = 1 << max(0, steps.bit_length() - digits)
     return -(-steps // unit) * unit

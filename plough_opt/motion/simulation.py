@@ -159,8 +159,9 @@ def simulate(
         raise InputError(f"accuracy steps = {steps} are too few for the knots of the tow speed: give {fewest} or more")
     if is_casadi(duration) or _holds_casadi(scene):
         check_single("simulate", (scene, duration))
-        if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
-            return _symbolic(scene, duration, accuracy, outputs, compiled)
+        p = parameters(scene)
+        if any(map(is_symbolic, (*p.values(), scene.mass, duration))):
+            return _symbolic(scene, p, duration, accuracy, outputs, compiled)
         scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
     started = time.perf_counter()
     case = Case.of(scene, float(duration), outputs, compiled=compiled)
@@ -214,7 +215,9 @@ def _with_tow_speed(scene: Scene, duration: Expression, tow_speed: Any) -> Scene
     return replace(scene, tow_speed=largest, effects=replace(scene.effects, tow_profile=profile))
 
 
-def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int, compiled: bool) -> Run:
+def _symbolic(
+    scene: Scene, p: Parameters, duration: Expression, accuracy: Accuracy, outputs: int, compiled: bool
+) -> Run:
     """Return the run as expressions of the scene's symbols; raise InputError if it is to be compiled."""
     if compiled:
         raise InputError(
@@ -222,7 +225,7 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
         )
     check_strength(scene.effects.waves)
     if not scene.effects.motion:
-        imposed = {name: value for name, value in parameters(scene).items() if plan.is_imposed(name)}
+        imposed = {name: value for name, value in p.items() if plan.is_imposed(name)}
         panels = max(outputs, plan.OUTPUTS)
         if not any(map(is_symbolic, (*imposed.values(), duration))):
             rate = plan.forced_rate({name: float(as_number(value)) for name, value in imposed.items()})
@@ -236,7 +239,7 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
         part = 1e-4 if isinstance(scene.effects.contact, Smooth) else 1e-2
         wanted = min(accuracy.error or DEFAULT_ERROR, part * accuracy.wanted_derivatives)
         accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, plan.TIGHTEST))
-    p, steps = parameters(scene), plan.MOST_ADAPTIVE
+    steps = plan.MOST_ADAPTIVE
     if not accuracy.adaptive:
         steps = accuracy.steps or max(plan.unknown_steps(scene, accuracy, outputs), plan.fewest_steps(p))
     timeline = plan.timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -32,7 +33,8 @@ _NO_SLOPE = 1e-300
 class LinearVariable:
     """A variable in which objective and requirements are linear and on which no run depends, like a bound on a peak.
 
-    Its best value follows from the others in closed form, so that it need not be searched.
+    Its best value follows from the others in closed form, so that it need not be searched. IPOPT keeps it as a
+    variable, but of designs drawn at random hardly any would have it near the rows that it bounds.
 
     Attributes:
         number: of the variable among the design's variables.
@@ -126,12 +128,12 @@ class _Group:
 
     Attributes:
         members: their numbers among the design's runs.
-        integrate: (parameters, a row for each run; finer; together) -> results, a row for each run.
+        integrate: (parameters, a row for each run; finer=; together=) -> results, a row for each run.
         size: number of results of a run.
     """
 
     members: tuple[int, ...]
-    integrate: Callable[[Vector, float, int], Vector]
+    integrate: Callable[..., Vector]
     size: int
 
 
@@ -182,22 +184,17 @@ class Population:
             except InputError:  # an operation without a vector form
                 pass
             else:
-                threads = available()
                 self.compiled &= many.compiled
-
-                def integrate(theta: Vector, finer: float, together: int) -> Vector:
-                    return many(theta, finer=finer, together=together, threads=threads)
-
-                return _Group(tuple(members), integrate, many.size)
+                return _Group(tuple(members), partial(many, threads=available()), many.size)
         run = parts.runs[members[0]]
         if run.integration.structure.orbit == "linearised":
             closed = run.integration.function
             p = ca.MX.sym("p", closed.numel_in(0))
             rows = _RowFunction(ca.Function("rows", [p], [ca.densify(ca.veccat(*closed.call([p])))]))
-            return _Group(tuple(members), lambda theta, _finer, _together: rows(theta)[0], run.integration.results)
+            return _Group(tuple(members), lambda theta, **_: rows(theta)[0], run.integration.results)
         self.vectorised = False
         solver = _rough_integration(run) if self._rough else run.integration
-        return _Group(tuple(members), lambda theta, _finer, _together: _one_by_one(solver, theta), solver.results)
+        return _Group(tuple(members), lambda theta, **_: _one_by_one(solver, theta), solver.results)
 
     def __call__(self, points: Vector, p: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return the objective and the requirements, a row for each design; NaN where it cannot be evaluated.
@@ -224,7 +221,7 @@ class Population:
             # The same run of consecutive designs takes equal steps: sort the rows by run, then by design.
             count = len(group.members)
             rows = theta.reshape(n, count, -1).transpose(1, 0, 2).reshape(n * count, -1)
-            found = group.integrate(rows, finer, together).reshape(count, n, -1)
+            found = group.integrate(rows, finer=finer, together=together).reshape(count, n, -1)
             results.append(found.transpose(1, 0, 2).reshape(n, -1))
         f, g = self._algebra(*given, *results)
         # A user's law may refuse numbers although its expressions have values.
@@ -282,7 +279,7 @@ def _algebra_of_groups(full: ca.Function, parts: Split, groups: list[_Group]) ->
         for j, k in enumerate(group.members):
             own = column[j * group.size : (j + 1) * group.size]
             results[k] = ca.vertcat(kind.zeros(parts.results[k].numel() - group.size), own)
-    ordered = [results[k] for k in range(len(parts.results))]
+    ordered = map(results.__getitem__, range(len(parts.results)))
     return ca.Function("algebra", [y, p, *given], [ca.densify(one) for one in full(y, p, *ordered)])
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, TypeAlias
@@ -11,7 +12,7 @@ from typing import Any, Final, TypeAlias
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import Call, Domain, limits_of_numbers
+from plough_opt.core.checks import Call, Domain, DomainLimit, limits_of_numbers
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import is_quantity, map_expressions, with_numbers
 from plough_opt.design.declarations import Declarations, Requirement
@@ -22,7 +23,7 @@ from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.equation import equation_of
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.plan import checked, kinks_of, most_steps, phase, rates, steps_for, suited
+from plough_opt.motion.plan import checked, kinks_of, most_steps, phase, rates, rounded_up, steps_for, suited
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.steps import Timeline
@@ -96,14 +97,11 @@ class TightEvaluation:
         # Scenes and calls by their templates. Own laws and profiles take no arrays.
         alike: dict[int, tuple[Any, Callable[[Any], object], list[ca.MX]]] = {}
         self._checked_alike = True
-        for template, carried in (
-            *((run.embedding.template, run.quantities) for run in parts.runs),
-            *((meaning, carried) for meaning, carried in parts.labels if isinstance(meaning, Scene)),
-        ):
-            self._checked_alike &= not has_own_law(template) and template.soil.density_profile is None
-            alike.setdefault(id(template), (template, Scene.check_reaction, []))[2].append(ca.vec(carried))
-        for meaning, carried in parts.labels:
-            if isinstance(meaning, Call):
+        for meaning, carried in (*((run.embedding.template, run.quantities) for run in parts.runs), *parts.labels):
+            if isinstance(meaning, Scene):
+                self._checked_alike &= not has_own_law(meaning) and meaning.soil.density_profile is None
+                alike.setdefault(id(meaning), (meaning, Scene.check_reaction, []))[2].append(ca.vec(carried))
+            elif isinstance(meaning, Call):
                 self._checked_alike &= not is_own(meaning.law)
                 alike.setdefault(id(meaning), (meaning.template, meaning.run, []))[2].append(ca.vec(carried))
         self._alike = [
@@ -161,22 +159,21 @@ class TightEvaluation:
         """Raise DomainError if these numbers take a law in the expressions, or a symbol in it, out of its domain."""
         for call, quantities in self._calls:
             call.check(quantities(*numbers).nonzeros())
+        for limit, value in self._bare_values(numbers):
+            limit.check(value)
+
+    def _bare_values(self, numbers: Sequence[float]) -> Iterator[tuple[DomainLimit, float]]:
+        """Yield the limits on single symbols with the symbols' values."""
         for domain, quantities in self._bare:
-            for limit, bare, value in zip(domain.limits, domain.bare, quantities(*numbers).nonzeros(), strict=True):
-                if bare:
-                    limit.check(value)
+            values = quantities(*numbers).nonzeros()
+            yield from itertools.compress(zip(domain.limits, values, strict=True), domain.bare)
 
     def surely_inside(self, numbers: Sequence[float]) -> bool:
         """Return whether no scene and no law refuses these numbers, if that can be told from all at once."""
         numbers = [*map(float, numbers)]
         return (
             self._checked_alike
-            and all(
-                limit.holds(value)
-                for domain, quantities in self._bare
-                for limit, bare, value in zip(domain.limits, domain.bare, quantities(*numbers).nonzeros(), strict=True)
-                if bare
-            )
+            and all(limit.holds(value) for limit, value in self._bare_values(numbers))
             and all(alike.inside(numbers) for alike in self._alike)
         )
 
@@ -384,7 +381,8 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
                 f" which would take {count} integration steps: tighten the bounds on stiffness and mass,"
                 " shorten the duration, or use the quasi-static scene"
             )
-        steps.append(_rounded_up(count))
+        # A tenth more: starts that differ little thus get equal numbers of steps, and the optimiser the same functions.
+        steps.append(rounded_up(math.ceil(1.1 * count)))
     return steps
 
 
@@ -398,13 +396,3 @@ def rough_steps(exact: TightEvaluation, steps: Sequence[int | None]) -> list[int
 
 def _holds_orbit(exact: TightEvaluation, run: int) -> bool:
     return exact.runs[run].integration.structure.orbit == "periodic"
-
-
-def _rounded_up(steps: int) -> int:
-    """Return a number at least a tenth larger, rounded up to three binary digits.
-
-    Starts that differ little thus get equal numbers of steps, so that the optimiser sees the same functions.
-    """
-    enough = math.ceil(1.1 * steps)
-    unit = 1 << max(0, enough.bit_length() - 3)
-    return -(-enough // unit) * unit

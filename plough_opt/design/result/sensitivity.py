@@ -380,12 +380,8 @@ class Side:
     hidden: bool = False
 
 
-@dataclass(frozen=True)
-class Change:
-    """A change of the problem: ``q`` of the parameters, and ``b`` of the scaled bounds of the sides."""
-
-    q: Vector
-    b: Vector
+Change = tuple[Vector, Vector]
+"""A change of the problem: of the parameters, and of the scaled bounds of the sides."""
 
 
 @dataclass(frozen=True)
@@ -502,8 +498,8 @@ class ActiveSet:
 
     def objective_slope(self, change: Change) -> float:
         """Return d objective / d change, scaled: the change of the Lagrangian (envelope theorem)."""
-        lagrangian = self.gradient - self.gradients.T @ self.mu
-        return float(lagrangian[self.n :] @ change.q + self.mu @ change.b)
+        q, b = change
+        return float((self.gradient - self.gradients.T @ self.mu)[self.n :] @ q + self.mu @ b)
 
     def move(self, change: Change, direction: float) -> Move:
         """Return the move of the optimum per unit of a change, for a growing (1) or falling (-1) amount of it.
@@ -524,12 +520,12 @@ class ActiveSet:
 
     def _along(self, active: Mask, change: Change, direction: float) -> Move | None:
         """Return the move with certain sides active, or None if it would break a side or need a negative multiplier."""
-        n = self.n
+        n, (q, b) = self.n, change
         if not self._curved(self.gradients[active, :n]):
             return None
-        l_yq_dq = self.hessian[:n, n:] @ change.q
+        l_yq_dq = self.hessian[:n, n:] @ q
         # Rates of the slacks: first with the variables held, later with their move.
-        opening = self.gradients[:, n:] @ change.q - change.b
+        opening = self.gradients[:, n:] @ q - b
         mu_rate = np.zeros(len(self.mu))
         dy, mu_rate[active] = self._newton_step(active, l_yq_dq, opening[active])
         size = float(np.max(np.abs(np.r_[l_yq_dq, opening[active]])))
@@ -561,7 +557,7 @@ class ActiveSet:
         for k, own in enumerate(self.sides):
             if own.name == side:
                 b[k] = own.per_unit
-        return Change(q, b)
+        return q, b
 
     @property
     def parameters_that_matter(self) -> list[bool]:

@@ -134,7 +134,7 @@ class Comparison:
     @property
     def standings(self) -> tuple[str, ...]:
         """Parts of each model that are not verified, with its source."""
-        return tuple(dict.fromkeys(f"{_family(row)}: {row.standing} ({row.source})" for row in self.others))
+        return tuple(dict.fromkeys(f"{row.model.split(',')[0]}: {row.standing} ({row.source})" for row in self.others))
 
     def ratios(self, row: ModelDraft) -> tuple[float, ...]:
         """Return the ratios of a model's drafts to this toolkit's at the same speeds [-]; NaN if either is NaN.
@@ -220,10 +220,6 @@ def _at(row: ModelDraft) -> str:
     return "" if row.depth is None else f" at {row.depth:.3g} m"
 
 
-def _family(row: ModelDraft) -> str:
-    return row.model.split(",")[0]
-
-
 def compare(
     scene: Scene,
     *,
@@ -292,8 +288,12 @@ def compare(
 
     soil = scene.soil if scene.effects.ambient_pressure else dataclasses.replace(scene.soil, ambient_pressure=0.0)
     at = ShareInSoil(scene.share, scene.cone, soil, 0.0)
+
+    def draft(law: ResistanceLaw, speed: float) -> Expression:
+        return law.reaction(dataclasses.replace(at, speed=speed)).at(speed)
+
     others = tuple(
-        ModelDraft(name, d, *_drafts(partial(_steady, law, at), course), law.source, law.standing, law.band)
+        ModelDraft(name, d, *_drafts(partial(draft, law), course), law.source, law.standing, law.band)
         for name, d, law in (*rows, *((_short(law), None, law) for law in laws))
     )
     name = "this model" if scene.law.slender else f"this scene, {scene.law.label}"
@@ -329,11 +329,6 @@ def _rows(
         for law in (McKyesAli(depth, **tine), earthmoving, SwickPerumpral(depth, **tine)):
             yield _short(law), depth, law
     yield _short(SphericalCavity), None, SphericalCavity()
-
-
-def _steady(law: ResistanceLaw, at: ShareInSoil, speed: float) -> Expression:
-    """Return a law's draft [N] for a share that slides steadily at a speed [m/s]."""
-    return law.reaction(dataclasses.replace(at, speed=speed)).at(speed)
 
 
 def _drafts(draft: Callable[[float], Expression], speeds: Sequence[float]) -> tuple[tuple[float, ...], str]:

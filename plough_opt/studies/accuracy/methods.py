@@ -28,15 +28,7 @@ from plough_opt.motion.effects import HarmonicBalance, StickSlip
 from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS, ORDER_8, Accuracy, adaptive, fixed_step
-from plough_opt.motion.plan import (
-    most_steps,
-    numbers_of,
-    phase,
-    rates_of,
-    steps_for,
-    timeline_of,
-    with_setting,
-)
+from plough_opt.motion.plan import most_steps, numbers_of, phase, rates_of, steps_for, timeline_of, with_setting
 from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import quasi_static

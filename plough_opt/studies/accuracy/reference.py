@@ -212,10 +212,8 @@ def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradien
     motion_of = _integrator(scene, duration)
 
     def difference(name: str, h: LongDouble) -> LongDouble:
-        factors = [1 + k * h for k in _PLACES]
-        motions = [
-            motion_of(replace(scene, **{name: LONGDOUBLE(getattr(scene, name)) * f}), 1, DEGREE) for f in factors
-        ]
+        values = [LONGDOUBLE(getattr(scene, name)) * (1 + k * h) for k in _PLACES]
+        motions = [motion_of(replace(scene, **{name: value}), 1, DEGREE) for value in values]
         if len({tuple(event for _, event in motion.events) for motion in motions}) > 1:
             raise IntegrationError("the events change with the quantities of the scene, so there is no gradient")
         runs = [motion.run() for motion in motions]
@@ -276,8 +274,7 @@ class Motion:
             raise InputError("a quasi-static scene has no motion to integrate")
         if scene.effects.orbit not in ("transient", "periodic"):
             raise InputError(
-                f"effects.orbit = '{scene.effects.orbit}' is an approximation of the periodic orbit: use 'periodic' for"
-                " the reference"
+                f"effects.orbit = '{scene.effects.orbit}' is only approximate: use 'periodic' for a reference"
             )
         speed = LONGDOUBLE(scene.tow_speed)
         self.scene = replace(scene, stiffness=LONGDOUBLE(scene.stiffness), mass=LONGDOUBLE(scene.mass), tow_speed=speed)
@@ -517,9 +514,7 @@ def in_long_double(arguments: Sequence[ca.SX], results: Sequence[Any]) -> LongDo
     for k in range(graph.n_instructions()):
         kind = graph.instruction_id(k)
         if kind not in _OPERATIONS and kind not in (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT):
-            raise InputError(
-                "an effect of your own uses a function that cannot compute in wide floats, such as a table"
-            )
+            raise InputError("an effect of your own uses a function that wide floats cannot compute, such as a table")
         constant = LONGDOUBLE(graph.instruction_constant(k)) if kind == ca.OP_CONST else None
         steps.append((kind, graph.instruction_input(k), graph.instruction_output(k), constant))
     rows = [graph.nnz_out(k) for k in range(graph.n_out())]

@@ -354,12 +354,12 @@ class AccuracyStudy(Saveable):
         if not self.questions:
             why = "; ".join((*self.notes, *self.refusals)) or "it has no entries"
             raise InputError(f"the accuracy study of {self.title!r} has no error to draw: {why}")
-        if isinstance(target, Axes):
-            draw(target, self, self.questions[0])
-            whole = target.get_figure(root=True)
-            assert isinstance(whole, Figure)  # axes that were removed from theirs have none
-            return whole
-        return written(_figure_of(self), target)
+        if not isinstance(target, Axes):
+            return written(_figure_of(self), target)
+        draw(target, self, self.questions[0])
+        whole = target.get_figure(root=True)
+        assert isinstance(whole, Figure)  # axes that were removed from theirs have none
+        return whole
 
     def also_saved(self) -> dict[str, Any]:
         """Return the advice."""
@@ -542,14 +542,14 @@ def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> Non
     """Add a legend for methods, front, wanted error, default, and the reference's own error."""
     from matplotlib.lines import Line2D
 
+    circle: Any = {"linestyle": "none", "marker": "o", "markersize": 13, "markerfacecolor": "none"}
     handles: list[Any] = [
         *lines.values(),
         Line2D([], [], color=_FRONT, linewidth=6.0, alpha=0.75, label="efficient front"),
         Line2D([], [], color="black", linestyle=(0, (4, 3)), linewidth=1.0, label="wanted error"),
-        Line2D([], [], linestyle="none", marker="o", markersize=13, markerfacecolor="none", markeredgecolor="black",
-               label="the default"),
+        Line2D([], [], **circle, markeredgecolor="black", label="the default"),
         Line2D([], [], color="#999999", linewidth=8.0, alpha=0.6, label="below the reference's own error"),
-    ]  # fmt: skip
+    ]
     target.legend(handles=handles, **where)
 
 

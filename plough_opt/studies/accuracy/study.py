@@ -314,11 +314,6 @@ def _tight_slopes(program: Program, p: Array, at: Array) -> ca.Function:
     return ca.Function("slopes", [y], [ca.gradient(f, y), g, ca.jacobian(g, y)])
 
 
-def best_of(trials: Sequence[SearchTrial]) -> Optimum:
-    """Return the best optimum of any search."""
-    return min((optimum for trial in trials for optimum in trial.found), key=ranked_value)
-
-
 OUTPUTS = 40
 """Default number of intervals between output times: few, so that coarse steps can compete."""
 
@@ -384,16 +379,8 @@ def study_accuracy(
     duration = plain_number("duration", BESIDE["scene.duration"].read(duration))
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
     entries, floors, notes = _contests(task, progress or silent, derivatives=derivatives)
-    return AccuracyStudy(
-        title=title,
-        duration=task.duration,
-        wanted=wanted,
-        entries=tuple(entries),
-        floors=floors,
-        notes=tuple(notes),
-        defaults={MOTION: (AUTO, f"error {DEFAULT_ERROR:.0e}"), DERIVATIVES: (AUTO, "default")},
-        versions=_versions(),
-    )
+    defaults = {MOTION: (AUTO, f"error {DEFAULT_ERROR:.0e}"), DERIVATIVES: (AUTO, "default")}
+    return AccuracyStudy(title, duration, wanted, tuple(entries), floors, tuple(notes), defaults, _versions())
 
 
 @without_notices()
@@ -438,7 +425,8 @@ def study_design(
     _check(wanted, title, progress, thin=thin)
     check_domain("time allowed to a search", plain_number("limit", limit), "s", above=0.0)
     trials = search_trials(design, limit=limit, thin=thin, progress=progress or silent)
-    best, entries, floors, notes = best_of(trials), list[MethodResult](), dict[str, float](), list[str]()
+    best = min((optimum for trial in trials for optimum in trial.found), key=ranked_value)
+    entries, floors, notes = list[MethodResult](), dict[str, float](), list[str]()
     try:
         reference = reference_optimum(design.declared, best)
         # More effort does not always take longer; the advice takes entries of a method from the cheapest on.
@@ -448,17 +436,9 @@ def study_design(
         notes.append(f"no reference for the optimum: {error}")
     if all(trial.method != "compiled" for trial in trials):
         entries.append(MethodResult(SEARCH, "compiled", "", math.inf, failure=interpretation_warning()))
-    return AccuracyStudy(
-        title=title,
-        duration=None,
-        wanted=wanted,
-        entries=tuple(entries),
-        floors=floors,
-        notes=tuple(notes),
-        defaults=dict.fromkeys(floors, DEFAULT),
-        versions=_versions(),
-        thoroughness=tuple(trial.thoroughness(best) for trial in trials if trial.method == DEFAULT[0]),
-    )
+    efforts = tuple(trial.thoroughness(best) for trial in trials if trial.method == DEFAULT[0])
+    defaults = dict.fromkeys(floors, DEFAULT)
+    return AccuracyStudy(title, None, wanted, tuple(entries), floors, tuple(notes), defaults, _versions(), efforts)
 
 
 def _contests(

@@ -517,21 +517,16 @@ def _dress(axes: Axes, title: str, errors: Sequence[float], floor: float, wanted
     """Set scales, limits and labels, and draw the reference's own error and the wanted error."""
     from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
-    class Times(LogLocator):
-        """Ticks of a logarithmic axis. Powers of ten alone would leave a short axis a single number."""
-
-        def tick_values(self, vmin: float, vmax: float) -> Any:
-            """Return the ticks between two limits, or a little beyond."""
-            self.set_params(subs=next((digits for ratio, digits in _DIGITS.items() if vmax < ratio * vmin), (1.0,)))
-            return super().tick_values(vmin, vmax)
-
     axes.set(xscale="log", yscale="log", title=title, xlabel="time of one use", ylabel="relative error")
     low = 10.0 ** math.floor(math.log10(min(floor, *errors)) - 0.7)
     high = 10.0 ** math.ceil(math.log10(max(wanted, *errors)) + 0.3)
     axes.set_ylim(low, high)
     axes.axhspan(_LEAST**2, floor, facecolor=_FLOOR, edgecolor="#999999", hatch="///", linewidth=0.0, zorder=0)
     axes.axhline(wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
-    axes.xaxis.set_major_locator(Times(numticks=8))
+    # Powers of ten alone would leave a short axis a single number.
+    left, right = axes.get_xlim()
+    digits = next((digits for ratio, digits in _DIGITS.items() if right < ratio * left), (1.0,))
+    axes.xaxis.set_major_locator(LogLocator(subs=digits, numticks=8))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.xaxis.set_major_formatter(EngFormatter(unit="s"))
     axes.yaxis.set_major_locator(LogLocator(numticks=8))

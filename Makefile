@@ -31,8 +31,8 @@ test: $(READY)
 	$(BIN)/mypy
 	$(BIN)/pytest -n auto --dist worksteal
 
-# The documentation as a site in out/site, which needs no network to build or to read; then its test in a browser, and its
-# notebooks, which must print what they are stored with.
+# The documentation as a site in out/site, which needs no network to build or to read; then its test in a browser, the code of its
+# pages that `make test` leaves out, and its notebooks, which must print what they are stored with.
 docs: $(DOCS) $(LIVE)
 	rm -rf out/site
 	$(BIN)/python docs/stage.py
@@ -45,7 +45,7 @@ $(LIVE): $(DOCS) problems/cotton_subsoiler.toml $(shell find plough_opt -type f 
 
 # The tests that `make test` leaves out for time; .ci/run runs both.
 thorough: $(READY)
-	$(BIN)/pytest -n auto --dist worksteal -m "thorough and not slow and not bench"
+	$(BIN)/pytest -n auto --dist worksteal -m "thorough and not slow and not bench and not site"
 
 slow: $(READY)
 	$(BIN)/pytest -n auto --dist worksteal -m "(slow or not bench) and not site"

@@ -82,9 +82,13 @@ def signature(_app, what, _name, thing, _options, given, _returned):
 
 # What differs in the live page from run to run.
 TIMES = r' · [0-9-]{10} [0-9:]{5}\+00:00|<tr><th scope="row">(?:written|time of [^<]*)</th>.*?</tr>\n?'
-# In the frame on the front page only the part that computes is seen.
+# In the frame on the front page only the part that computes is seen, with each name above its slider.
 FRAMED = """<script>if (self !== top) document.documentElement.classList.add("framed");</script>
-<style>.framed :is(header, footer, .skip, section:not(#explore)) { display: none; }</style>
+<style>
+.framed :is(header, footer, .skip, section:not(#explore)) { display: none; }
+.framed .control { grid-template-columns: minmax(0, 1fr) 6em 3.5em; }
+.framed .control > span:first-child { grid-column: 1 / -1; }
+</style>
 """
 
 

@@ -53,7 +53,7 @@ class Page:
     Attributes:
         prints: pieces of the output.
         writes: files, each of at least 500 bytes.
-        least: word in the blocks that run by default; the slow tests run all blocks.
+        least: word in the blocks that run briefly; then make docs runs all blocks, as make slow does of other pages.
         shorter: text in Python blocks -> the text that replaces it by default.
         briefly: function from a shell line to the changes by --set, or other arguments, added by default.
         scripts: whether each Python block must run as a file in its own process, because it starts processes.
@@ -143,11 +143,17 @@ PAGES = {
 FULL = ("openmdao", "fmpy", "distributed")
 
 
+def cases():
+    """Yield each page briefly, every second one in make docs alone, and whole."""
+    for number, name in enumerate(PAGES):
+        yield pytest.param(name, False, marks=[pytest.mark.site] * (number % 2), id=f"{name}-briefly")
+        yield pytest.param(name, True, marks=pytest.mark.site if PAGES[name].least else pytest.mark.slow, id=name)
+
+
 # FMPy leaves its temporary folder to the garbage collector.
 @pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")
 @pytest.mark.filterwarnings("ignore:Exception ignored in:pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("whole", [pytest.param(False, id="briefly"), pytest.param(True, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize(("name", "whole"), cases())
 def test_its_code_runs(name, whole, tmp_path, monkeypatch, capsys):
     page, printed, names = PAGES[name], "", {}
     monkeypatch.chdir(tmp_path)

@@ -370,7 +370,7 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
 # Screening this many combinations takes some seconds; from here on, only the optimum's neighbours are tried.
 _MOST_SCREENED = 100_000
 # The same for the runs of their designs, of which a design over its tolerances has some seventy.
-_MOST_RUNS_SCREENED = 400_000
+_MOST_RUNS_SCREENED = 2_000_000
 # Most combinations that are optimised.
 _MOST_OPTIMISED = 20
 # Most combinations of neighbours that are accepted.

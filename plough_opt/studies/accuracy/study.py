@@ -531,8 +531,7 @@ class Refinement:
     @property
     def cost(self) -> NDArray[np.float64]:
         """Times as multiples of the shortest."""
-        ratios: NDArray[np.float64] = self.seconds / np.min(self.seconds)
-        return ratios
+        return np.asarray(self.seconds / np.min(self.seconds))
 
     def size_for(self, error: float) -> int:
         """Return the smallest size whose relative error does not exceed the given one.
@@ -549,18 +548,16 @@ class Refinement:
         error = plain_number("error", error)
         if error < 0.0:
             raise InputError(f"error = {error:g} must be at least 0")
-        for size, own in zip(self.sizes, self.errors, strict=True):
-            if own <= error:
-                return size
+        if reach := [size for size, own in zip(self.sizes, self.errors, strict=True) if own <= error]:
+            return reach[0]
         raise InputError(f"no size up to {self.sizes[-1]} reaches a relative error of {error:g}: try larger sizes")
 
     def __str__(self) -> str:
         """Return the table, and the size beyond which refinement gains nothing."""
+        every = [*zip(self.sizes, self.errors, self.cost, strict=True)]
         rows = [f"{'size':>6} {'relative error':>16} {'time, fastest = 1':>18}"]
-        for size, error, cost in zip(self.sizes, self.errors, self.cost, strict=True):
-            rows.append(f"{size:>6} {error:>16.1e} {cost:>18.1f}")
-        enough = [size for size, error in zip(self.sizes, self.errors, strict=True) if error <= _ROUNDING]
-        if enough:
+        rows += [f"{size:>6} {error:>16.1e} {cost:>18.1f}" for size, error, cost in every]
+        if enough := [size for size, error, _ in every if error <= _ROUNDING]:
             rows.append(f"At {enough[0]} only rounding errors remain; larger sizes gain nothing.")
         return "\n".join(rows)
 

@@ -358,9 +358,7 @@ class FrontPoint:
 
     def rate_of(self, of: int, by: int) -> float | None:
         """Return the change of one objective per change of another along the front; None if there is no finite one."""
-        if self.weights is None or not self.weights[of]:
-            return None
-        return -self.weights[by] / self.weights[of]
+        return None if self.weights is None or not self.weights[of] else -self.weights[by] / self.weights[of]
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS, OWN_EFFECTS
 from plough_opt.motion.methods import METHODS
 from plough_opt.motion.vocabulary import MEASURES, called
-from plough_opt.problem_file import measures, reading, schema, source, uncertain
+from plough_opt.problem_file import reading, schema, source, uncertain
 from plough_opt.soil.elastic import medium
 from plough_opt.studies.calibration.model import measurable
 from plough_opt.studies.sweep import question
@@ -256,7 +256,7 @@ LIMITS = {
         reading._MAX_LENGTH, source._MAX_LISTED,
         most_outputs(),
         quantities.MOST_WAVES,
-        measures._MAX_LENGTH, measures._MAX_DEPTH, measures._MAX_POWER,
+        schema._MAX_LENGTH, schema._MAX_DEPTH, schema._MAX_POWER,
     ),
     "CSV files of measurements and penetrometer readings": (
         tables._MOST_BYTES, tables._LONGEST_LINE, tables._MOST_LISTED,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from plough_opt.app.page_model import PageModel, page_model, shown_in, without_random
-from plough_opt.app.plots import Panel, changing, deflection_of, force_of
+from plough_opt.app.panels import Panel, changing, deflection_of, force_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS
 from plough_opt.core.process import optional
@@ -26,7 +26,7 @@ from plough_opt.motion import Run
 from plough_opt.motion.run import ARRAYS
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.measures import measures_of
+from plough_opt.problem_file.schema import measures_of
 from plough_opt.problem_file.written import tables_of
 from plough_opt.soil.geometry import Solid, Wedge
 

@@ -34,8 +34,8 @@ from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.steps import Timeline, step
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.measures import measures_of, total_of
 from plough_opt.problem_file.problem import FileVariable
+from plough_opt.problem_file.schema import measures_of, total_of
 from plough_opt.problem_file.written import fixed_variables
 from plough_opt.soil.soil import compression_test
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from plough_opt.app.page import Report, design_page, motion_page, page, shown_of
 from plough_opt.app.page_model import design_model, frame_model
-from plough_opt.app.plots import changing, gif, subject
+from plough_opt.app.panels import changing, gif, subject
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.checks import check_domain, path_of, whole_number
 from plough_opt.core.errors import InputError, NotConverged

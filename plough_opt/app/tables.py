@@ -19,7 +19,7 @@ from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.measures import measures_of
+from plough_opt.problem_file.schema import measures_of
 from plough_opt.soil.soil import Soil
 
 if TYPE_CHECKING:

@@ -23,8 +23,7 @@ from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import Measure
-from plough_opt.problem_file.measures import measures_of, total_of
-from plough_opt.problem_file.schema import WAVES, LimitTable, ProblemTable, medium_of
+from plough_opt.problem_file.schema import WAVES, LimitTable, ProblemTable, measures_of, medium_of, total_of
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Wedge
 from plough_opt.soil.soil import Soil, named_soil
 from plough_opt.soil.strength import Spectrum

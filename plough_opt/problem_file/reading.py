@@ -27,7 +27,6 @@ from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.field_data import average_readings, course_of_file, spectrum_of_file
-from plough_opt.problem_file.measures import check_definitions, measures_of
 from plough_opt.problem_file.problem import TRADED, FileVariable, Problem, by_share
 from plough_opt.problem_file.schema import (
     RANDOM,
@@ -38,6 +37,8 @@ from plough_opt.problem_file.schema import (
     ProblemTable,
     VariableTable,
     at,
+    check_definitions,
+    measures_of,
     valid_keys,
 )
 from plough_opt.problem_file.source import TOO_DEEP, Keys, Source, entry_at, nested_line, unreadable

@@ -31,9 +31,9 @@ from plough_opt.motion.methods import DEFAULT_ERROR, METHODS
 from plough_opt.motion.run import Averages
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES, Measure
-from plough_opt.problem_file.measures import measures_of
 from plough_opt.problem_file.problem import Problem, longest_period, whole_waves
 from plough_opt.problem_file.reading import check_changed
+from plough_opt.problem_file.schema import measures_of
 from plough_opt.problem_file.source import read_axis
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.sweep import engine

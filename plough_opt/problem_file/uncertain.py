@@ -16,8 +16,7 @@ from plough_opt.core.quantities import quantities
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.problem_file.field_data import lognormal
-from plough_opt.problem_file.measures import measures_of
-from plough_opt.problem_file.schema import LimitTable, ProblemTable, at
+from plough_opt.problem_file.schema import LimitTable, ProblemTable, at, measures_of
 from plough_opt.problem_file.source import Source
 from plough_opt.soil.soil import Soil
 

@@ -15,7 +15,7 @@ from plough_opt.app.page_model import AVERAGES, ROWS, design_model, frame_model,
 from plough_opt.core.errors import DomainError, InputError, PloughError
 from plough_opt.expressions import sin
 from plough_opt.motion.effects import OWN_EFFECTS
-from plough_opt.problem_file.measures import measures_of
+from plough_opt.problem_file.schema import measures_of
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="needs node: apt-get install nodejs")

@@ -18,8 +18,7 @@ from helpers.scripts import imported
 import plough_opt as po
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file import template
-from plough_opt.problem_file.measures import measures_of
-from plough_opt.problem_file.schema import file_schema
+from plough_opt.problem_file.schema import file_schema, measures_of
 from plough_opt.problem_file.sweep import ProblemSweep
 
 # --- a right problem file becomes: a scene, its variables, and the same results as Python by hand ---

@@ -23,7 +23,7 @@ from plough_opt.core.expressions import Column, Expression, absolute, as_number,
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.motion.effects.terms import Parameters, Towed
-from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, parameters
+from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, by_mode, parameters
 
 # Speeds below this part of the scene's speed, and distances below this part of the share's height, are rounding.
 _ROUNDING_OF_EVENTS = 1e-12
@@ -74,8 +74,8 @@ class DrivenShare:
         if self.sticks:
             # The mount force at which a sticking share breaks away.
             self._hold = structure.hold(p, self.travel)
-            self.acceleration = self._by_mode(self._slipping, 0.0, self.pull / p["mass"])
-            self.resistance = self._by_mode(self.resistance, self.pull, 0.0)
+            self.acceleration = by_mode(self.mode, self._slipping, 0.0, self.pull / p["mass"])
+            self.resistance = by_mode(self.mode, self.resistance, self.pull, 0.0)
         self._speed_scale, self._height = scene.tow_speed or 1.0, scene.cone.height
 
     @property
@@ -90,11 +90,6 @@ class DrivenShare:
             return []
         return [self.mode, self.furthest, *([self.entered] if self.structure.entry else [])]
 
-    def _by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
-        """Return the expression that belongs to the present mode."""
-        rest = where(self.mode < (STICK + GAP) / 2.0, stick, gap)
-        return where(self.mode < (SLIP + STICK) / 2.0, slip, rest)
-
     @property
     def indicators(self) -> list[Expression]:
         """Expressions that become negative when an event happens."""
@@ -104,8 +99,8 @@ class DrivenShare:
         closing = self.opening + _ROUNDING_OF_EVENTS * self._height
         if self.sticks:
             indicators = [
-                self._by_mode(stopping, self._hold - self.pull, closing),
-                self._by_mode(1.0, self.pull + _ROUNDING_OF_EVENTS * absolute(self._hold), 1.0),
+                by_mode(self.mode, stopping, self._hold - self.pull, closing),
+                by_mode(self.mode, 1.0, self.pull + _ROUNDING_OF_EVENTS * absolute(self._hold), 1.0),
             ]
         else:
             turning = where(self.mode > STICK, closing, stopping)
@@ -126,11 +121,11 @@ class DrivenShare:
         if self.sticks:
             held = self.pull < self._hold - _EVENT_TOLERANCE * absolute(self._hold)
             at_rest = where(self.pull < 0.0, GAP, where(held, STICK, SLIP))
-            mode = self._by_mode(where(stopped, at_rest, SLIP), at_rest, where(closed, SLIP, GAP))
+            mode = by_mode(self.mode, where(stopped, at_rest, SLIP), at_rest, where(closed, SLIP, GAP))
             # A share that closes its gap takes up the carried soil, which is at rest: momentum is conserved.
             mass = self.p["mass"]
             caught = self.speed * mass / (mass + self._carried)
-            speed = self._by_mode(where(stopped, 0.0, self.speed), 0.0, where(closed, caught, self.speed))
+            speed = by_mode(self.mode, where(stopped, 0.0, self.speed), 0.0, where(closed, caught, self.speed))
         else:
             turned = where(stopped, GAP, SLIP)
             mode = where(self.mode > STICK, where(closed, SLIP, GAP), turned)

@@ -295,6 +295,11 @@ GAP: Final = 2.0
 _STANDSTILL = 1e-12
 
 
+def by_mode(mode: Column, slip: Expression, stick: Expression, gap: Expression) -> Any:
+    """Return the value that belongs to a mode, which an integrator may have rounded."""
+    return where(mode < (SLIP + STICK) / 2.0, slip, where(mode < (STICK + GAP) / 2.0, stick, gap))
+
+
 Symbols = TypeVar("Symbols", ca.SX, ca.MX)
 
 
@@ -409,12 +414,8 @@ class _SymbolicShare:
 
     def by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
         """Return the column that belongs to the mode, chosen element by element."""
-        middle = (SLIP + STICK) / 2.0, (STICK + GAP) / 2.0
-        chosen = [
-            where(self.mode < middle[0], a, where(self.mode < middle[1], b, c))
-            for a, b, c in zip(*(ca.vertsplit(ca.densify(ca.SX(x))) for x in (slip, stick, gap)), strict=True)
-        ]
-        return stacked(*chosen)
+        columns = (ca.vertsplit(ca.densify(ca.SX(x))) for x in (slip, stick, gap))
+        return stacked(*(by_mode(self.mode, *row) for row in zip(*columns, strict=True)))
 
 
 def _stick_slip(share: _SymbolicShare) -> tuple[Column, list[Column], list[Column]]:
@@ -514,6 +515,5 @@ def outputs(structure: Structure, p: Parameters, time: Column, state: Sequence[C
         if not is_casadi(mode):
             # An implicit method solves for the mode too, which leaves rounding errors in it.
             mode = np.round(mode)
-        speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
-        soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
+        speed, soil = by_mode(mode, speed, 0.0, speed), by_mode(mode, soil, force, 0.0)
     return force, soil, deflection, speed, travel, opening, mode

@@ -244,8 +244,8 @@ def _symbolic(
         steps = accuracy.steps or max(plan.unknown_steps(scene, accuracy, outputs), plan.fewest_steps(p))
     timeline = plan.timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
     solver = integration(Structure.of(scene), accuracy, timeline)
-    states, means, variances = embed(solver, [*(p[name] for name in solver.names), duration], scene)
-    return assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy)
+    states, means, variances = embed(solver, solver.equation.column(p, duration), scene)
+    return assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy, p)
 
 
 def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:

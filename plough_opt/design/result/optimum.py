@@ -359,7 +359,7 @@ class Optimum(LocalOptimum):
             InputError: an expression holds symbols that do not belong to this design.
             DomainError: the numbers lie outside the model's domain.
         """
-        return map_expressions(item, self._with_numbers, _is_run_or_expression)
+        return map_expressions(item, self._with_numbers, lambda part: isinstance(part, Run) or is_casadi(part))
 
     def page(self) -> Page:
         """Return the best design as tables, with its response, the other optima, the search and the warnings.
@@ -733,7 +733,3 @@ class Rounded(Optimum):
 def values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
     """Return values of variables with their units."""
     return ", ".join(f"{name} = {in_words(value, units[name])}" for name, value in values.items())
-
-
-def _is_run_or_expression(item: object) -> bool:
-    return isinstance(item, Run) or is_casadi(item)

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -94,7 +93,7 @@ class DomainCheck:
             for k in self._suspects(rows, np.arange(rows.shape[1]), declared):
                 try:
                     with nullcontext() if declared else limits_of_numbers():
-                        self.scene(partial(_number, rows[:, k]))
+                        self.scene(rows[:, k].tolist().__getitem__)
                 except PloughError as error:
                     reasons[int(k)] = str(error)
         return reasons
@@ -133,10 +132,6 @@ class DomainCheck:
             halves = (self._suspects(rows, part, declared) for part in np.array_split(where, 2))
             return np.concatenate([*halves])
         return where[~inside]
-
-
-def _number(column: Array, row: int) -> float:
-    return float(column[row])
 
 
 # Designs that one thread holds in memory at once.

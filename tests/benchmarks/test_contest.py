@@ -592,18 +592,7 @@ def test_from_readings_to_the_best_share(benchmark):
 # --- times of the page that computes, in node: a move of a slider, and the cloud of its landscape; none is asserted ---
 
 # A process that has computed once answers each line by computing again; the page's workers stay as warm.
-CLIENT = """
-let seed = 1;
-const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
-const between = ({ variable, lower, upper, value, log }) =>
-  !variable ? value : log ? lower * (upper / lower) ** random() : lower + random() * (upper - lower);
-const design = () => MODEL.inputs.map(between), own = engine(MODEL, FUNCTIONS);
-const TASKS = {
-  move: () => own.evaluate(design()).steps,
-  cloud: () => Array.from({ length: 2000 }, () => own.evaluate(design(), { sketch: true })).length,
-};
-require("readline").createInterface({ input: process.stdin }).on("line", (task) => console.log(TASKS[task]()));
-"""
+CLIENT = Path(__file__).with_name("page_client.js").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("task", "rounds"), [("move", 200), ("cloud", 10)])

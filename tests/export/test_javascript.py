@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -16,15 +17,7 @@ from plough_opt.export import write_javascript
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="needs node: apt-get install nodejs")
 POINTS = 8
-CLIENT = """
-import { readFileSync } from "node:fs";
-const module = await import(process.argv[2]);
-const points = JSON.parse(readFileSync(0, "utf8"));
-function tried(values) {
-  try { return module.evaluate(values); } catch (error) { return `${error.name}: ${error.message}`; }
-}
-console.log(JSON.stringify({ inputs: module.inputs, outputs: module.outputs, results: points.map(tried) }));
-"""
+CLIENT = Path(__file__).with_name("client.mjs").read_text(encoding="utf-8")
 
 
 def evaluated(component, folder, points):

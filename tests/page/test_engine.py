@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,16 +63,7 @@ DESIGNS = 17
 WAVE = po.StrengthWave(0.3, "20 cm")
 # A symbolic RMS is never 0, so that it has derivatives: by that a small one differs from a number's.
 ROUNDING = 1e-9
-CLIENT = """
-const { inputs } = MODEL, own = engine(MODEL, FUNCTIONS);
-const tried = (x, own) => {
-  try {
-    const found = own.evaluate(x);
-    for (const key in found.rows) found.rows[key] = [...found.rows[key]];
-    return found;
-  } catch (error) { return error.message; }
-};
-"""
+CLIENT = Path(__file__).with_name("client.js").read_text(encoding="utf-8")
 
 
 def read(scene, folder):
@@ -356,15 +348,7 @@ SCOPES = {
 }
 CHECKED = ("--allowJs", "--checkJs", "--noEmit", "--target", "es2022", "--lib", "es2023,dom,dom.iterable")
 # TypeScript finds names without a definition, also those defined in another file of the same scope.
-RULES = """
-import js from "@eslint/js";
-export default [{ ...js.configs.recommended, languageOptions: { sourceType: "script" }, rules: {
-  ...js.configs.recommended.rules, "no-undef": "off", "no-var": "error",
-  "prefer-const": ["error", { destructuring: "all" }],
-  eqeqeq: ["error", "always", { null: "ignore" }],
-  "no-unused-vars": ["error", { vars: "local", argsIgnorePattern: "^_", varsIgnorePattern: "^_" }],
-} }];
-"""
+RULES = Path(__file__).with_name("eslint.config.mjs").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import math
 import re
 from html.parser import HTMLParser
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -176,13 +177,7 @@ def desk(browser, written):
 
 
 # Whether a canvas holds more than one colour.
-DRAWN = """canvas => {
-  const copy = document.createElement("canvas");
-  [copy.width, copy.height] = [canvas.width, canvas.height];
-  const ctx = copy.getContext("2d");
-  ctx.drawImage(canvas, 0, 0);
-  return new Set(new Uint32Array(ctx.getImageData(0, 0, copy.width, copy.height).data.buffer)).size;
-}"""
+DRAWN = Path(__file__).with_name("drawn.js").read_text(encoding="utf-8")
 
 
 def test_the_page_draws_and_asks_for_nothing(desk, written):

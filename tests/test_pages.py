@@ -153,7 +153,7 @@ def cases():
 # FMPy leaves its temporary folder to the garbage collector.
 @pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")
 @pytest.mark.filterwarnings("ignore:Exception ignored in:pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize(("name", "whole"), cases())
+@pytest.mark.parametrize(("name", "whole"), [*cases()])
 def test_its_code_runs(name, whole, tmp_path, monkeypatch, capsys):
     page, printed, names = PAGES[name], "", {}
     monkeypatch.chdir(tmp_path)

@@ -1,7 +1,6 @@
 """Searches, catalogues and fronts on random problems, compared with truths from independent code.
 
-The problems and their truths are in `independent/*_problems.json`. The truths were found by SciPy's differential
-evolution in islands, from Sobol samples, and by SLSQP from their best designs, all with the simulator in `independent`.
+The problems and their truths are in `independent/*_problems.json`; `independent/truth.py` finds a truth again.
 `reproduction_problems.json` holds problems on which searches have gone wrong. An answer is right if it meets the
 requirements and is as good as the truth, bare or over the tolerance box: see `independent/study.py`.
 """
@@ -15,7 +14,7 @@ from helpers.equations import forces, half_angle
 from helpers.scenes import R1_SOIL
 from helpers.small_designs import design
 from helpers.three_modes import follow
-from independent import study
+from independent import study, truth
 from independent.build import as_design, verdict_on
 from independent.motion import AVERAGES, simulate
 from independent.problem import box_sample, evaluate, measure, objectives_of, sample, sign_of
@@ -62,6 +61,14 @@ def test_the_best_or_the_least_shortfall_is_found(kind, numbers, shift):
     assert {number: own for number, own in verdicts.items() if not getattr(own, "right", False)} == {}
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "number"), [("search", 22), ("edge", 6), ("infeasible", 7)])
+def test_a_truth_is_found_again(kind, number):
+    problem, known = KNOWN[kind][number]
+    wanted = known["shortfall" if kind == "infeasible" else "objective"]
+    assert truth.optima(problem, giving=kind == "infeasible")[1][0] == pytest.approx(wanted, rel=1e-7)
+
+
 # --- catalogues of which every combination was optimised ------------------------------------------------------
 
 
@@ -95,6 +102,14 @@ def test_no_combination_of_the_catalogue_is_better(number, seed):
     assert seen.worst[0] <= study.RELATIVE
     assert (seen.objective[0] - truth["objective"]) / abs(truth["objective"]) <= study.RELATIVE
     assert found.screened == np.prod([len(values) for values in offered.values()])
+
+
+@pytest.mark.slow
+def test_the_best_combination_of_a_catalogue_is_found_again():
+    problem, known, offered = PROBLEMS[6]
+    objective, values = truth.best_of_catalogue(problem, offered)
+    assert objective == pytest.approx(known["objective"], rel=1e-7)
+    assert list(values) == known["values"]
 
 
 # --- fronts of two objectives and of three, by brute force --------------------------------------------------
@@ -138,6 +153,17 @@ def test_the_whole_front_is_found(kind, number, seed):
         wanted = np.array(truth["objectives"])
         behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)
         assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE_A_BEND.get(number, BESIDE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "number", "row"), [("front", 6, 16), ("surface", 0, 0)])
+def test_a_point_of_a_front_is_the_optimum_that_its_other_objectives_leave(kind, number, row):
+    problem, known = study.problems(kind)[number]
+    *others, last = known["objectives"][row]
+    found = truth.least_of(problem, known["names"][-1], dict(zip(known["names"], others, strict=False)))
+    size = np.ptp(np.array(known["objectives"])[:, -1])
+    # The sample of a surface leaves more than that of a curve.
+    assert found == pytest.approx(last, abs=(1e-6 if kind == "front" else 1e-4) * size)
 
 
 # --- conflicts that exist, and conflicts that do not ----------------------------------------------------------

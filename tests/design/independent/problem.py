@@ -116,12 +116,17 @@ class Found:
 
 def evaluate(problem, y, phase=0.5):
     """Return objective and violations of designs at positions, a row each; see `simulate` for the phase."""
-    measures = measure(problem, y, phase, paths=any(r.measure in PATHS for r in problem.limits))
-    objective = sum(weight * measures[name] for name, weight in problem.objective.items())
-    gaps = [np.max(np.atleast_2d(r.violation(measures[r.measure])), axis=0) for r in problem.limits]
-    violations = np.array(gaps).reshape(len(gaps), len(objective))
+    objective, gaps = gaps_of(problem, y, phase)
+    violations = np.array([np.max(own, axis=0) for own in gaps]).reshape(len(gaps), len(objective))
     bad = ~(np.isfinite(objective) & np.all(np.isfinite(violations), axis=0))
     return Found(np.where(bad, np.inf, objective), np.where(bad, np.inf, violations))
+
+
+def gaps_of(problem, y, phase):
+    """Return the objective of designs, and the violations of each requirement, a row for each output of a path."""
+    measures = measure(problem, y, phase, paths=any(r.measure in PATHS for r in problem.limits))
+    objective = sum(weight * measures[name] for name, weight in problem.objective.items())
+    return objective, [np.atleast_2d(r.violation(measures[r.measure])) for r in problem.limits]
 
 
 def measure(problem, y, phase=0.5, *, paths=False):

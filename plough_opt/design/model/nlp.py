@@ -20,8 +20,8 @@ all runs, one below the other, in the order of the `RunGroup` s and of the runs 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -74,12 +74,15 @@ class Split:
         expressions: the expressions in terms of the design's symbols and the runs' results.
         results: for each run a symbol of its stacked results: states column by column, means, variances.
         labels: the meaning of each label in the expressions, with the quantities that the label carries.
+        algebra: for runs grouped alike, the graph around them and its derivatives, which programs with other numbers
+            of steps share.
     """
 
     runs: tuple[EmbeddedRun, ...]
     expressions: tuple[ca.MX, ...]
     results: tuple[ca.MX, ...]
     labels: tuple[tuple[object, ca.MX], ...]
+    algebra: dict[Hashable, _Algebra] = field(default_factory=dict, compare=False)
 
 
 def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
@@ -440,7 +443,10 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
     whole = algebra_of(parts, y, p)
     averages = [averages_only(run, whole, 2 + k) for k, run in enumerate(parts.runs)]
     groups = grouped_runs(parts.runs, averages, y, p, steps)
-    algebra = _Algebra.around(groups, parts, y, p)
+    alike = tuple((group.first, group.members) for group in groups)
+    if alike not in parts.algebra:
+        parts.algebra[alike] = _Algebra.around(groups, parts, y, p)
+    algebra = parts.algebra[alike]
     o = _column([ca.vec(group.results(group.inputs(y, p))) for group in groups])
     f, g = map(ca.densify, algebra.values(y, p, o))
 

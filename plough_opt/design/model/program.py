@@ -17,7 +17,7 @@ from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
-from plough_opt.design.model.nlp import Nlp, as_machine_code, build_nlp, first_slack, relaxed, split
+from plough_opt.design.model.nlp import Nlp, Split, as_machine_code, build_nlp, first_slack, relaxed, split
 from plough_opt.design.model.population import LinearVariable, Population, linear_variables
 from plough_opt.design.model.tight_integration import (
     TightEvaluation,
@@ -109,6 +109,7 @@ class _Caches:
     """
 
     built: dict[Hashable, BuiltProgram] = field(default_factory=dict)
+    parts: dict[Hashable, Split] = field(default_factory=dict)
     population: dict[Hashable, Population] = field(default_factory=dict)
     values_at_guess: dict[Hashable, list[Vector]] = field(default_factory=dict)
     linear: dict[Hashable, list[LinearVariable]] = field(default_factory=dict)
@@ -300,7 +301,10 @@ class Program:
 
     def _write(self, steps: list[int | None]) -> BuiltProgram:
         """Return the program with certain numbers of steps."""
-        write = partial(build_nlp, split(self.scaled(self._y, self._p), [self._y, self._p]), self._y, self._p)
+        key = (self.objective_scale, *self.scales)
+        at = [self._y, self._p]
+        parts = _cached(self._caches.parts, key, 1, lambda: split(self.scaled(*at), at))
+        write = partial(build_nlp, parts, *at)
         limits = self.low, self.high
         return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled, self.ipopt)
 

@@ -47,7 +47,8 @@ def with_enough_steps(
         p: parameters.
         points: optima, best first.
         progress: called with what is being done and the fraction done.
-        limit: of the processor time, after which no further refinement begins.
+        limit: of the processor time. After it no refinement begins, and of one that has begun only the best point is
+            solved again.
 
     Returns:
         The program, the points, and a warning for each error that is still too large.
@@ -72,7 +73,12 @@ def with_enough_steps(
             last = math.inf
             continue
         program, last = finer, excess
-        points = [solved_again(program, p, point) for point in points]
+        finest = [solved_again(program, p, points[0])]
+        for k, point in enumerate(points[1:], 1):
+            if limit.passed(f"finer integration steps of {len(points) - k} optima"):
+                break
+            finest.append(solved_again(program, p, point))
+        points = finest
     return program, points, tuple(_warnings(program, value_error, slope_error))
 
 

@@ -246,8 +246,9 @@ class Design:
             search: extent of the search.
 
                 * ``"auto"``: all variables, by a sample, evolution and descents; IPOPT then optimises the basins that
-                  can be best. After 30 s of processor time no further part of the search begins: the best design so far
-                  is optimised and checked, and one of the optimum's warnings names what was left out.
+                  can be best. After 30 s of processor time no further part of the search begins, nor a refinement of
+                  its integration steps or a catalogue value: the best design so far is checked, and one of its warnings
+                  names what was left out.
                 * ``"thorough"``: the same with four times the effort.
                 * ``"near"`` or ``"local"``: the optimum in the basin of the guess, never worse than a guess that meets
                   the requirements. From any other guess it starts at the nearest design that meets them.

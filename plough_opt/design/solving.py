@@ -60,7 +60,7 @@ class Request:
         seed: seed of the samples.
         progress: called with what is being done and the fraction done.
         started: time at which the solve began [s].
-        limit: of the processor time of the search.
+        limit: of the processor time.
         known: results of an earlier search, from which to optimise instead of searching; None to search.
     """
 
@@ -202,7 +202,7 @@ class _Solve:
             if points and self._request.limit.passed(f"the optima of {len(chosen) - number} basins"):
                 break
             self._progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
-            point = polished(program, p, minima.points[k])
+            point = polished(program, p, minima.points[k], self._request.limit)
             if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME_OPTIMUM for other in points):
                 points.append(point)
         return points

@@ -606,9 +606,11 @@ class Optimum(LocalOptimum):
             {'height': 0.13}
         """
         try:
-            return replace(self, bought=self.rounded(catalogues))
+            bought = self.rounded(catalogues)
         except InfeasibleDesign as error:
             return replace(self, warnings=(*self.warnings, f"nothing in the catalogue will do: {error}"))
+        own = [f"from the catalogue: {text}" for text in bought.warnings if text not in self.warnings]
+        return replace(self, bought=bought, warnings=(*self.warnings, *own))
 
     def _unique(self) -> Solved:
         if self.flat_directions:

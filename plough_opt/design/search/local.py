@@ -26,6 +26,7 @@ from plough_opt.design.model.optimality import (
     without_rounding,
 )
 from plough_opt.design.model.program import Program
+from plough_opt.design.search.effort import TimeLimit
 from plough_opt.design.search.landscape import (
     FEASIBLE,
     FEASIBLE_ANSWER,
@@ -336,8 +337,11 @@ AS_FOUND = "taken as found"
 """Status of a design that IPOPT did not confirm as an optimum."""
 
 
-def polished(program: Program, p: Vector, start: Vector) -> Point:
-    """Return the local optimum near a basin minimum of a search, or the start itself if no better design lies near."""
+def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None = None) -> Point:
+    """Return the local optimum near a basin minimum of a search, or the start itself if no better design lies near.
+
+    Once the time is over, a start that meets the requirements is not tried again.
+    """
     highest = highest_accepted(program, p, start)
     near = polished_by_quadratic_programs(program, p, start)
     near_enough = near is not None and np.max(np.abs(near.y - start)) < _SAME_BASIN and near.f <= highest
@@ -350,6 +354,8 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
             point = _stalled(program, p, point)
         if point.solved and point.f <= highest:
             return point
+        if as_found.solved and limit is not None and limit.passed("further attempts to confirm an optimum"):
+            return as_found
     point = program.solve(start, p)
     if point.solved and point.f <= highest:
         return point

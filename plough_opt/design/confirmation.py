@@ -55,7 +55,9 @@ def with_enough_steps(
     """
     wanted, factor, last = program.wanted_error, program.refinement, math.inf
     for number in range(_MOST_REFINEMENTS + 1):
-        value_error, slope_error = _value_error(program, p, points), _slope_error(program, p, points[0])
+        # Of the objective at any point, or the violation of a limit if that is larger.
+        value_error = max(max(gap_of(program, p, point), _violation(program, p, point)) for point in points)
+        slope_error = _slope_error(program, p, points[0])
         excess = max(value_error / (wanted or math.inf), slope_error / program.wanted_of_derivatives)
         # A motion may be too sensitive for any number of steps.
         if excess <= 1.0 or excess > _PROGRESS * last or number == _MOST_REFINEMENTS:
@@ -80,11 +82,6 @@ def with_enough_steps(
             finest.append(solved_again(program, p, point))
         points = finest
     return program, points, tuple(_warnings(program, value_error, slope_error))
-
-
-def _value_error(program: Program, p: Vector, points: Sequence[Point]) -> float:
-    """Return the largest relative error of the objective at any point, or violation of a limit if that is larger."""
-    return max(max(gap_of(program, p, point), _violation(program, p, point)) for point in points)
 
 
 def _slope_error(program: Program, p: Vector, best: Point) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NoReturn
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -428,7 +428,11 @@ def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, per
     solver = integration(case.structure, accuracy, timeline)
     results, sizes = _sized(solver.sized, p, sizes) if solver.sized else (_attempt(solver.function, p), None)
     if results is None:
-        _raise_failure(case, solver, p)
+        if scene.effects.orbit != "transient":
+            raise IntegrationError(without_orbit(scene))
+        if not case.explained:
+            raise IntegrationError(f"the motion of a {scene.describe()} could not be integrated")
+        raise failed_by(scene, duration, (accuracy, outputs), *_until_failure(case, solver, p))
     states, means, variances = results
     run = _assembled(case, timeline, (states.T, means.ravel(), variances.ravel()), accuracy)
     if isinstance(scene.effects.contact, StickSlip):
@@ -496,17 +500,6 @@ def _sizes(results: list[Array], expected: Array) -> Array:
     averages[: rms.size] += rms
     found = np.concatenate([np.abs(states[:2]).max(axis=1), averages, rms])
     return np.where((found > 0.0) & (found < _TOO_SMALL * expected), found, expected)
-
-
-def _raise_failure(case: Case, solver: Integration, p: list[float]) -> NoReturn:
-    """Raise the IntegrationError that says when and why an integration failed."""
-    scene, duration = case.scene, case.duration
-    if scene.effects.orbit != "transient":
-        raise IntegrationError(without_orbit(scene))
-    if not case.explained:
-        raise IntegrationError(f"the motion of a {scene.describe()} could not be integrated")
-    used = solver.accuracy, solver.timeline.outputs
-    raise failed_by(scene, duration, used, *_until_failure(case, solver, p))
 
 
 def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, float]:

@@ -451,7 +451,14 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
     f, g = map(ca.densify, algebra.values(y, p, o))
 
     def build_slopes() -> ca.Function:
-        return ca.Function("slopes", [y, p], _first_derivatives(algebra, groups, y, p))
+        by_group = [
+            group.slopes.call([group.inputs(y, p), theta_y(y, p)])
+            for group, theta_y in zip(groups, algebra.theta_slopes, strict=True)
+        ]
+        o, o_y = _all_results(groups, by_group, y)
+        f, g, f_y, f_o, g_y, g_o = algebra.slopes(y, p, o)
+        gradient, jacobian = (f_y + ca.mtimes(f_o, o_y)).T, g_y + ca.mtimes(g_o, o_y)
+        return ca.Function("slopes", [y, p], [*map(ca.densify, (f, g, gradient, jacobian))])
 
     def build_hessian() -> ca.Function:
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
@@ -535,17 +542,6 @@ class _Algebra:
             ],
             theta_curvature=ca.Function("theta_curvature", [y, p, weights], [theta_yy]),
         )
-
-
-def _first_derivatives(algebra: _Algebra, groups: list[RunGroup], y: ca.MX, p: ca.MX) -> list[ca.MX]:
-    """Return J, g, the gradient of J as a column and the Jacobian of g, from first-order jets of the runs."""
-    by_group = [
-        group.slopes.call([group.inputs(y, p), theta_y(y, p)])
-        for group, theta_y in zip(groups, algebra.theta_slopes, strict=True)
-    ]
-    o, o_y = _all_results(groups, by_group, y)
-    f, g, f_y, f_o, g_y, g_o = algebra.slopes(y, p, o)
-    return [*map(ca.densify, (f, g, (f_y + ca.mtimes(f_o, o_y)).T, g_y + ca.mtimes(g_o, o_y)))]
 
 
 def _hessian(

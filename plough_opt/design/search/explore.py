@@ -225,7 +225,8 @@ class Explorer:
         if self._dense:
             # The basins that these reach may make the evolution unnecessary.
             self._follow(sampled, random_starts, known)
-        if not (self._dense and self._few_basins_unseen()):
+        unseen = expected_unseen(*self._follow_counts(self._basins()[1])) if self._dense and self._followed else None
+        if unseen is None or unseen > _FEW_UNSEEN:
             for island in range(effort.islands if len(self.variables) > 1 else 0):
                 if self.stop() or self.limit.passed("evolution"):
                     break
@@ -233,11 +234,6 @@ class Explorer:
         self._look_closer(rng)
         if not self._dense:
             self._follow(sampled, random_starts, known)
-
-    def _few_basins_unseen(self) -> bool:
-        """Return whether designs drawn at random reached so few basins that hardly any other is expected."""
-        unseen = expected_unseen(*self._follow_counts(self._basins()[1])) if self._followed else None
-        return unseen is not None and unseen <= _FEW_UNSEEN
 
     def _follow_counts(self, basin: list[int | None]) -> tuple[int, int]:
         """Return the number of designs followed and of the basins they reached, given the basin of each end."""

@@ -302,9 +302,9 @@ class Program:
     def _write(self, steps: list[int | None]) -> BuiltProgram:
         """Return the program with certain numbers of steps."""
         key = (self.objective_scale, *self.scales)
-        at = [self._y, self._p]
-        parts = _cached(self._caches.parts, key, 1, lambda: split(self.scaled(*at), at))
-        write = partial(build_nlp, parts, *at)
+        y, p = self._y, self._p
+        parts = _cached(self._caches.parts, key, 1, lambda: split(self.scaled(y, p), [y, p]))
+        write = partial(build_nlp, parts, y, p)
         limits = self.low, self.high
         return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled, self.ipopt)
 

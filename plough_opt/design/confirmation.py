@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import DomainError
 from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.model.optimality import FLAT_CURVATURE, PULLS, free_directions, reduced_curvatures, symmetric
+from plough_opt.design.model.optimality import FLAT_CURVATURE, decides, free_directions, reduced_curvatures, symmetric
 from plough_opt.design.model.program import Program, error_of_derivatives, steps_factor
 from plough_opt.design.search.effort import TimeLimit
 from plough_opt.design.search.landscape import FEASIBLE, FINER, NEEDLE, Landscape, sobol_points
@@ -192,10 +192,9 @@ def curvatures_at(
     """
     values, jacobian = rows or program.built.solver.requirements(at.y, p)
     margins, pulls = program.margins(values), np.abs(at.lam_g)
-    active = (margins < ACTIVE) | ((pulls > PULLS) & (pulls > margins))
+    active = (margins < ACTIVE) | decides(margins, pulls)
     # A bound without a multiplier does not stop a move away from it.
-    margins, pulls = np.minimum(at.y, 1.0 - at.y), np.abs(at.lam_y)
-    bounds = (pulls > PULLS) & (pulls > margins)
+    bounds = decides(np.minimum(at.y, 1.0 - at.y), np.abs(at.lam_y))
     free = free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
     if not free.shape[1]:
         return np.empty(0), free

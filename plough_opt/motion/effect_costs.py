@@ -141,6 +141,6 @@ def _of_adaptive(scene: Scene, duration: float, accuracy: Accuracy) -> int:
     solver = integration(Structure.of(scene), accuracy, timeline)
     assert solver.sized is not None  # adaptive methods are CasADi's
     equation = solver.equation
-    rates, events = solver.sized.evaluations([*(p[name] for name in solver.names), duration])
+    rates, events = solver.sized.evaluations(solver.equation.column(p, duration))
     each = int(equation.rate.n_instructions())
     return rates * each + (events * int(equation.events.n_instructions()) if equation.events is not None else 0)

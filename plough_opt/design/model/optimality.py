@@ -6,6 +6,7 @@ Hessian of the Lagrangian f + lam_g' g curves upwards along every direction that
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +25,9 @@ _AT_BOUND = 1e-9
 _INDEPENDENT = 1e-9
 
 
-def decides(margin: float, pull: float) -> bool:
-    """Return True if a limit is active, from its scaled margin and multiplier: at an optimum one of them vanishes."""
-    return pull > PULLS and pull > margin
+def decides(margin: Any, pull: Any) -> Any:
+    """Return whether a limit is active, from its scaled margin and multiplier: at an optimum one of them vanishes."""
+    return (pull > PULLS) & (pull > margin)
 
 
 def lowest_dips(margins: Vector, most: int) -> NDArray[np.intp]:

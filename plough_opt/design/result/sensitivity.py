@@ -21,7 +21,7 @@ from plough_opt.design.declarations import EVERYWHERE
 from plough_opt.design.model.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.model.optimality import (
     FLAT_CURVATURE,
-    PULLS,
+    decides,
     free_directions,
     independent,
     newton_step,
@@ -451,7 +451,7 @@ class ActiveSet:
         mu = np.maximum(0.0, -self._signs * both[self._rows])
         mu[self._equal] = (-self._signs * both[self._rows])[self._equal]
         self._evaluate(point.y, mu)
-        active = self._equal | ((mu > PULLS) & (mu > self.slack))
+        active = self._equal | decides(self.slack, mu)
         for _ in range(_MOST_NEWTON_STEPS):
             mu = np.zeros(len(mu))
             step, mu[active] = self._newton_step(active, self.gradient[: self.n], self.slack[active])

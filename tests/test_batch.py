@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import plough_opt as po
 from plough_opt.core.expressions import Expression, as_number, exp, maximum, minimum, sin, where
 from plough_opt.motion.batch.advance import Layout, StepStart, deviation_map, ellipse_after, largest_squared_error
-from plough_opt.motion.batch.series import Engine, Graph, series_of
+from plough_opt.motion.batch.series import Engine, Graph, Interpreter, series_of
 from plough_opt.motion.equation import Structure, parameters
 
 DESIGNS = np.array([[po.deg(25.0), 0.25, 5e4], [po.deg(45.0), 0.15, 8e3], [po.deg(10.0), 0.4, 3e5]])
@@ -441,7 +441,7 @@ def test_designs_do_not_depend_on_each_other(batch_of, r1_wave, request, compile
             assert np.array_equal(getattr(part, name), getattr(whole, name)[chosen], equal_nan=True), name
 
 
-# --- taylor series of a batch's right-hand sides against high precision, and its operations in C ---
+# --- taylor series of a batch's right-hand sides against high precision, and its operations in C and NumPy ---
 
 ORDER = 12
 # x(t): within the domain of all functions, and with all coefficients other than zero.
@@ -516,7 +516,7 @@ def _operations():
     return ca.Function("operations", [v], [inner(v[0], v[1], v[2])])
 
 
-def test_operations_in_c(tmp_path, monkeypatch):
+def test_operations_in_c_and_numpy(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     function = _operations()
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
@@ -533,6 +533,10 @@ def test_operations_in_c(tmp_path, monkeypatch):
     rows[1, 5] = 0.0
     expected = np.asarray(function.map(rows.shape[1])(rows))
     # The C library's vector functions keep four units in the last place, of which atanh near 1 makes ten times as many.
+    interpreted = Interpreter(function)(rows)
+    assert interpreted == pytest.approx(expected, rel=1e-14, abs=1e-15)
+    for few in (1, 8, 9):  # one by one, or as arrays
+        assert np.array_equal(Interpreter(function)(rows[:, :few]), interpreted[:, :few])
     assert engine.evaluate("operations", rows) == pytest.approx(expected, rel=1e-14, abs=1e-15)
     # The sum 0 + 1 + ... (n - 1) over what divides it, for each design its own number of steps.
     ends, parts = np.arange(203.0) % 17.0, random.uniform(1.0, 2.0, 203)

@@ -345,7 +345,7 @@ def _identity(command: tuple[str, ...]) -> str:
 Phase = tuple[ca.Function, int]
 """A phase of a motion: (Function of SX for one step, position of the phase's end time among its parameters)."""
 
-# CasADi's operation -> its sign or its text in C.
+# CasADi's operation -> its sign or its text in C and in Python.
 BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
 _LOGICAL = {ca.OP_AND: "&", ca.OP_OR: "|"}

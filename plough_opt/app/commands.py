@@ -200,6 +200,7 @@ def explore(options: argparse.Namespace) -> None:
     """
     from plough_opt.app.report import write_page
 
+    optional("jinja2")  # before anything is read
     target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
     problem = read(options)
     with progress() as notify:

@@ -32,6 +32,7 @@ def report(options: argparse.Namespace) -> None:
         InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, or the page
             cannot be written.
     """
+    optional("jinja2")  # before anything is read
     target = check_file(options.output, "page", ".html")
     problem = read(options)
     with progress() as notify:

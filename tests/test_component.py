@@ -324,11 +324,11 @@ INVALID = [
     ({}, {"inputs": [FREE]}, "input MX(k) must be a name, or po.Input(name, ...)"),
     ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
     ({}, {"inputs": []}, "name at least one"),
-    ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' cannot be part of a component"),
+    ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' has no fixed steps, as a component needs"),
     ({"orbit": "periodic", "strength_wave": WAVE}, {}, "leave the duration out"),
     ({}, {"inputs": [ALONE]}, "does not hold the symbol of input 'k'"),
     ({}, {"inputs": [po.Input("k", symbol=FREE)]}, "needs lower and upper"),
-    ({"stiffness": FREE}, {"inputs": ["share.height"]}, "not inputs (k)"),
+    ({"stiffness": FREE}, {"inputs": ["share.height"]}, "symbols that are not inputs, k"),
     ({"stiffness": FREE}, {"inputs": [po.Input("k", 4e4, 6e4, symbol=FREE), "scene.stiffness"]}, "make its symbol"),
     # Bounds, and where they lead out of the domain.
     ({}, _stiffness(6e4, 5e4), "lower 60000 is not below upper 50000"),

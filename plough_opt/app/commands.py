@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from plough_opt.app import plots, tables
+from plough_opt.app import tables
 from plough_opt.app.main import MODELS, PART, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, console, give, progress, quiet, read, wrote
 from plough_opt.core.compiler import cache_folder
@@ -27,7 +27,6 @@ from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.saving import Origin, is_store, load
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display
-from plough_opt.design import LocalOptimum
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.formats import FORMATS, Request
 from plough_opt.laws.forces import cone_index
@@ -43,6 +42,7 @@ from plough_opt.soil.soil import named_soil, soil_names
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from plough_opt.design import LocalOptimum
     from plough_opt.design.search.effort import Search
     from plough_opt.problem_file.sweep import ProblemSweep, What
 
@@ -95,7 +95,7 @@ def check(options: argparse.Namespace) -> None:
     notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem), *problem.reliance)
     plain: dict[str, Any] = {"title": problem.title, "quantities": values, "notes": notes}
     page = tables.check_page(problem)
-    plot: Callable[[], Figure] | None = None if problem.shares else lambda: plots.plot_share(problem.scene())
+    plot: Callable[[], Figure] | None = None if problem.shares else lambda: _share_of(problem)
     units = [EVERY[key if key in EVERY else key.partition(".")[2]].unit for key in values]
     frame: Callable[[], Any] = partial(
         data_frame, {"quantity": [*values], "value": [*values.values()], "unit": units}, {}
@@ -114,6 +114,12 @@ def check(options: argparse.Namespace) -> None:
         page = dataclasses.replace(page, parts=(*page.parts, *tables.comparison_parts(problem, comparison)))
         plain["comparison"], plot, frame = to_plain(comparison), comparison.plot, comparison.to_dataframe
     give(options, page, lambda: _json(plain), plot, frame)
+
+
+def _share_of(problem: Problem) -> Figure:
+    from plough_opt.app import plots
+
+    return plots.plot_share(problem.scene())
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -442,6 +448,8 @@ def _frame(numbers: Mapping[str, Mapping[str, float]]) -> Any:
 
 def _figure(saved: Mapping[str, Any]) -> Figure:
     """Return the picture of all designs, or of all runs if there are no designs."""
+    from plough_opt.app import plots
+
     designs = {name: design for name, one in saved.items() if (design := _design(one)) is not None}
     if designs:
         return plots.plot_designs(designs)
@@ -456,6 +464,8 @@ def _column(path: str, paths: list[str]) -> str:
 
 def _design(saved: Any) -> LocalOptimum | None:
     """Return the best design of a result, or None."""
+    from plough_opt.design import LocalOptimum
+
     best = getattr(saved, "best", saved)
     return best if isinstance(best, LocalOptimum) else None
 

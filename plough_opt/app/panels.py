@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from plough_opt.core.expressions import as_number, sin
 from plough_opt.core.files import COLOURS
 from plough_opt.core.units import Display
-from plough_opt.design import Limit
 from plough_opt.motion import Run
 from plough_opt.motion.equation import GAP, STICK, Structure, parameters
 from plough_opt.motion.vocabulary import called
@@ -22,6 +21,8 @@ from plough_opt.motion.vocabulary import called
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from plough_opt.design import Limit
 
 SHARE, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
 """Colours in every picture: the share's motion and force, limits, the soil, and the strut."""

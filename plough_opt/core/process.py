@@ -184,7 +184,7 @@ _SHORT: Final = {
     r"\b[a-z_]\w*\.(?=\w)": "",  # names of modules
     r"\b(?:_?Expression|MaybeInfinite|IntervalEnd)\b": "float",
     r"\b(?:Array|Column)\b": "ndarray",
-    r"\bndarray\[tuple\[Any, \.\.\.\], dtype\[float64\]\]|\bNDArray\[float64\]": "ndarray",
+    r"\bndarray\[(?:tuple\[Any, \.\.\.\]|Any), dtype\[float64\]\]|\bNDArray\[float64\]": "ndarray",
     r"\bNoneType\b": "None",
 }
 # A union within another type.

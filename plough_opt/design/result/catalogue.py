@@ -403,11 +403,9 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     program = solved.program.with_steps(p, starts=[start for start, _ in starts])
     reached: list[tuple[Choice, Point, Combination]] = []
     failed: list[Choice] = []
-    limit, left_out = TimeLimit("auto"), tuple[str, ...]()
+    limit, late = TimeLimit("auto"), f"after {AUTO_SECONDS:g} s of processor time"
     for number, (start, values) in enumerate(starts):
-        if reached and limit.passed(""):
-            rest = f"{len(starts) - number} of the {len(starts)} most promising combinations were not optimised"
-            left_out = (f"after {AUTO_SECONDS:g} s of processor time {rest}: offer fewer values",)
+        if reached and limit.passed(f"{len(starts) - number} of the {len(starts)} most promising combinations"):
             break
         names = {own.variable.name: value for own, value in zip(offered, values, strict=True)}
         point, conflicts = _solved(program, p, start, fixed)
@@ -433,7 +431,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
         over=program.over,
         status="unconfirmed" if point.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
-        warnings=(*left_out, *warnings),
+        warnings=(*(f"{late} {rest} were not optimised: offer fewer values" for rest in limit.left_out), *warnings),
         solved=Solved(program, p, point, dict(zip(fixed, values, strict=True))),
         fixed=tuple(choice.values),
         unrounded=unrounded,

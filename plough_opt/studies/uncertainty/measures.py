@@ -13,7 +13,7 @@ exceeds the exact one by at most 35/256 of the width.
 """
 
 import math
-from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,9 +22,7 @@ from plough_opt.core.checks import LARGEST, LEAST, array_of, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, is_casadi, maximum, minimum, sqrt, total, where
 
-# Halvings by counts reduce a bracket of ten million widths to one width, and halvings by smooth steps the bracket of
-# three widths around that to a thousandth, an error that each Newton step squares.
-_COUNTS = 24
+# Halvings reduce a bracket of three widths to a thousandth of a width, an error that each Newton step squares.
 _HALVINGS = 12
 # The threshold is rounded to this part of a width.
 _PER_WIDTH = 2.0**40
@@ -52,7 +50,8 @@ def step(u: Column) -> Column:
     """Return the integral of the kernel up to u: 0 below -1, 1/2 at 0, 1 above 1."""
     u = _clipped(u)
     square = u * u
-    return 0.5 + _PEAK * u * (1.0 + square * (-1.0 + square * (0.6 - square / 7.0)))
+    # With the constants multiplied out, because a design evaluates this for each sample a dozen times.
+    return 0.5 + u * (_PEAK + square * (-_PEAK + square * (0.6 * _PEAK + square * (-_PEAK / 7.0))))
 
 
 def ramp(u: Column) -> Column:
@@ -262,23 +261,45 @@ def _threshold(scaled: Column, part: float) -> Column:
 
     The first bracket and the result are rounded, because rounding has the derivative 0.
     """
-
-    def halved(low: Column, high: Column, mean_above: Callable[[Column], Column], times: int) -> tuple[Column, Column]:
-        for _ in range(times):
-            middle = 0.5 * (low + high)
-            too_low = mean_above(middle) > part
-            low, high = where(too_low, middle, low), where(too_low, high, middle)
-        return low, high
-
-    low, high = _floor(_least(scaled)) - 1.0, _floor(-_least(-scaled)) + 2.0
-    # To count the samples above takes a fifth of the time; the smooth step differs within one width only.
-    low, high = halved(low, high, lambda t: expected(where(scaled > t, 1.0, 0.0)), _COUNTS)
-    low, high = halved(low - 1.0, high + 1.0, lambda t: expected(step(scaled - t)), _HALVINGS)
+    # Fewer samples than the part lie above the bracket, whose ends are a width and more from this one.
+    middle = _floor(_largest(scaled, math.ceil(part * _count(scaled))))
+    low, high = middle - 1.0, middle + 2.0
+    for _ in range(_HALVINGS):
+        t = 0.5 * (low + high)
+        too_low = expected(step(scaled - t)) > part
+        low, high = where(too_low, t, low), where(too_low, high, t)
     t = 0.5 * (low + high)
     for _ in range(2):
         t = t + (expected(step(scaled - t)) - part) / (expected(density(scaled - t)) + _TINY)
         t = minimum(maximum(t, low), high)
     return _floor(t * _PER_WIDTH) / _PER_WIDTH
+
+
+def _largest(column: Column, number: int) -> Column:
+    """Return the n-th largest value of a column, counted from 1.
+
+    Expressions go through the sorting network of Batcher (1968), "Sorting networks and their applications": compared
+    with counting the values above a threshold, halving by halving, it takes a quarter of the operations.
+    """
+    if not is_casadi(column):
+        return float(np.sort(column)[-number])
+    count, size = _count(column), 1
+    values: Any = type(column)(column)
+    while size < count:
+        apart = size
+        while apart:
+            lower = [
+                k
+                for first in range(apart % size, count - apart, 2 * apart)
+                for k in range(first, min(first + apart, count - apart))
+                if k // (2 * size) == (k + apart) // (2 * size)
+            ]
+            upper = [k + apart for k in lower]
+            smaller, larger = ca.fmin(values[lower], values[upper]), ca.fmax(values[lower], values[upper])
+            values[lower], values[upper] = smaller, larger
+            apart //= 2
+        size *= 2
+    return values[count - number]
 
 
 def _exact_cvar(values: np.ndarray, part: float) -> float:
@@ -323,10 +344,6 @@ def _column(values: Column) -> Column:
 
 def _count(column: Column) -> int:
     return int(column.numel()) if is_casadi(column) else int(column.size)
-
-
-def _least(column: Column) -> Column:
-    return ca.mmin(column) if is_casadi(column) else float(np.min(column))
 
 
 def _floor(value: Column) -> Column:

@@ -19,6 +19,9 @@ FAST   := $(addprefix tests/,problem_file cli export study calibration/test_line
           motion/test_simulate.py uncertainty/test_measures.py test_layout.py test_forces.py \
           test_component.py test_plots.py test_results.py test_source_equations.py)
 
+# Without bytecode, as in some containers, every process compiles its libraries anew, which trebles the time of imports.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: run test docs thorough slow bench lowest dist lines mutants clean
 
 # The core alone is installed, or what is there already is used.

@@ -265,7 +265,7 @@ class ManyRuns:
     def _steps(self, known: dict[str, Array], duration: Array, finer: float) -> Array:
         """Return the number of steps of each run; infinite if it is too large."""
         phase = COARSE_PHASE_READ if self._outputs else COARSE_PHASE
-        found = rates(known)
+        found = rates(known, self._structure.terms)
         summed, lasting = found.summed * duration, found.lasting_phase(duration)
         shorter = np.maximum((lasting / _LASTING_PHASE) ** (1.0 / _LOSS_ORDER) * phase / COARSE_PHASE, 1.0)
         steps: Array = np.maximum(np.ceil(finer * shorter * summed / phase), _FEWEST_COARSE_STEPS)

@@ -321,3 +321,14 @@ def test_a_step_is_cut_where_the_smooth_contacts_step_ends():
         assert found == pytest.approx([wanted, 1.0], rel=0, abs=3e-3), start
         state = after
     assert {*rises} == {False, True}
+
+
+def test_derivatives_by_machine_code_are_those_of_interpreted_steps():
+    structure, p = Structure.of(scene()), parameters(scene())
+    equation = equation_of(structure)
+    given, names = equation.column(p, DURATION), equation.names
+    varying = tuple(names.index(name) for name in ("stiffness", "static"))
+    made = [jets(equation, Timeline(1, 48, aligned=True), varying, 1, compiled=own) for own in (False, True)]
+    interpreted, compiled = (np.asarray(one(given)) for one in made)
+    # The compiler may contract products and sums: rounding over 48 steps.
+    np.testing.assert_allclose(compiled, interpreted, rtol=1e-12)

@@ -239,6 +239,7 @@ class RunGroup:
         members: numbers of these runs among all runs of the design.
         inputs: (y, p) -> all parameters of the runs, a column for each run.
         variables: number of variables y.
+        compiled: whether first derivatives are machine code; of second ones a compiler takes four times as long.
     """
 
     solver: Integration
@@ -247,6 +248,7 @@ class RunGroup:
     members: tuple[int, ...]
     inputs: ca.Function
     variables: int
+    compiled: bool
 
     @property
     def size(self) -> int:
@@ -323,7 +325,7 @@ class RunGroup:
         return ca.MX.sym("jet", self.size, 1 + count + (0 if self._events else len(pairs(count))))
 
     def _jets(self, p: ca.MX, order: int) -> ca.MX:
-        return jets_of(self.solver, self.varying, order)(p)[self.first :, :]
+        return jets_of(self.solver, self.varying, order, compiled=self.compiled and order == 1)(p)[self.first :, :]
 
     def _mapped(self, inputs: list[ca.MX], results: list[ca.MX]) -> ca.Function:
         """Return a Function of all runs from one of a single run; only the toolkit's own steps run in threads."""
@@ -336,8 +338,17 @@ class RunGroup:
         return one.map(count, "serial")
 
 
+# Runs in a group from which on the second that a compiler takes for its jets soon pays.
+_MANY_RUNS = 16
+
+
 def grouped_runs(
-    runs: Sequence[EmbeddedRun], only_averages: Sequence[bool], y: ca.MX, p: ca.MX, steps: Sequence[int | None]
+    runs: Sequence[EmbeddedRun],
+    only_averages: Sequence[bool],
+    y: ca.MX,
+    p: ca.MX,
+    steps: Sequence[int | None],
+    compiled: bool,
 ) -> list[RunGroup]:
     """Return the runs of a design in groups that share one integrator.
 
@@ -347,6 +358,7 @@ def grouped_runs(
         y: scaled variables.
         p: parameters.
         steps: for each run, the number of steps, or None for the method it was written with.
+        compiled: whether large groups may use machine code.
     """
     members_of: dict[tuple[int, int], tuple[Integration, list[int]]] = {}
     for k, (run, averages, count) in enumerate(zip(runs, only_averages, steps, strict=True)):
@@ -359,7 +371,8 @@ def grouped_runs(
         inputs = ca.Function("inputs", [y, p], [ca.densify(parameters)]).expand()
         sparsity = ca.Function("stacked", [y, p], [ca.vec(parameters)]).jac_sparsity(0, 0)
         varying = tuple(sorted({row % parameters.shape[0] for row in sparsity.row()}))
-        groups.append(RunGroup(solver, first, varying, tuple(members), inputs, y.numel()))
+        by_code = compiled and len(members) >= _MANY_RUNS
+        groups.append(RunGroup(solver, first, varying, tuple(members), inputs, y.numel(), by_code))
     return groups
 
 
@@ -431,7 +444,7 @@ def hessian_function(y: ca.MX, p: ca.MX, lam_f: ca.MX, lam_g: ca.MX, hessian: ca
     return ca.Function("hess_lag", [y, p, lam_f, lam_g], [ca.triu(hessian)], names, result)
 
 
-def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
+def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None], *, whole: bool = False) -> Nlp:
     """Return the program of an objective and requirements.
 
     Args:
@@ -439,10 +452,11 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None]) -> Nlp:
         y: scaled variables.
         p: parameters.
         steps: for each run, the number of steps, or None for the method it was written with.
+        whole: whether all of it will be machine code, so that no part of it may be.
     """
-    whole = algebra_of(parts, y, p)
-    averages = [averages_only(run, whole, 2 + k) for k, run in enumerate(parts.runs)]
-    groups = grouped_runs(parts.runs, averages, y, p, steps)
+    every = algebra_of(parts, y, p)
+    averages = [averages_only(run, every, 2 + k) for k, run in enumerate(parts.runs)]
+    groups = grouped_runs(parts.runs, averages, y, p, steps, not whole)
     alike = tuple((group.first, group.members) for group in groups)
     if alike not in parts.algebra:
         parts.algebra[alike] = _Algebra.around(groups, parts, y, p)

@@ -304,7 +304,7 @@ class Program:
         key = (self.objective_scale, *self.scales)
         y, p = self._y, self._p
         parts = _cached(self._caches.parts, key, 1, lambda: split(self.scaled(y, p), [y, p]))
-        write = partial(build_nlp, parts, y, p)
+        write = partial(build_nlp, parts, y, p, whole=self.compiled)
         limits = self.low, self.high
         return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled, self.ipopt)
 

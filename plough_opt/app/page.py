@@ -13,14 +13,13 @@ import numpy as np
 
 from plough_opt.app.page_model import PageModel, page_model, shown_in, without_random
 from plough_opt.app.panels import Panel, changing, deflection_of, force_of
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, listed
 from plough_opt.core.files import COLOURS
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.tables import Grid
 from plough_opt.core.units import Display
 from plough_opt.design import Limit, Optimum, Sensitivity
-from plough_opt.design.search.landscape import FEASIBLE
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.run import ARRAYS
@@ -89,7 +88,7 @@ def answer(report: Report) -> str:
         ends = [f"{called(goal.name)} from {goal_text(report, k, 0)} to {goal_text(report, k, -1)}"
                 for k, goal in enumerate(report.front.goals)]  # fmt: skip
         shown = f"the {_place_of(report.front)} of the front"
-        return f"{len(report.front.points)} efficient designs: {_listed(ends)}. Shown below: {shown}."
+        return f"{len(report.front.points)} efficient designs: {listed(ends)}. Shown below: {shown}."
     if best is None:
         return f"This share needs a mean draft of {report.results['mean draft']}."
     values = [f"{called(key)} {nice(v.display.text(best.variables[key], 4))}" for key, v in problem.variables.items()]
@@ -113,15 +112,15 @@ def question(report: Report) -> list[str]:
     problem, table = report.problem, report.problem.table
     if report.best is None and report.front is not None:
         goals = [f"{'more' if goal.maximise else 'less'} {called(goal.name)}" for goal in report.front.goals]
-        text = [f"Choose {_listed([called(key) for key in problem.variables])} for {_listed(goals)}."]
+        text = [f"Choose {listed([called(key) for key in problem.variables])} for {listed(goals)}."]
     elif report.best is None:
         return ["What draft does this share need, and how does it move? The file has no variables."]
     else:
         terms = [f"{called(name)} in units of {nice(str(term.per))}" for name, term in table.minimise.items()]
-        text = [f"Choose {_listed([called(key) for key in problem.variables])} to minimise {' plus '.join(terms)}."]
+        text = [f"Choose {listed([called(key) for key in problem.variables])} to minimise {' plus '.join(terms)}."]
     limits = [f"{called(name)} {limits_of(problem, name)}" for name in table.require]
     if limits:
-        text.append(f"Required: {_listed(limits)}.")
+        text.append(f"Required: {listed(limits)}.")
     if report.best is not None and report.best.over:
         text.append(f"{report.best.over.capitalize()}.")
     return text
@@ -354,7 +353,7 @@ def notes(report: Report) -> list[str]:
     if report.best is not None:
         found = [*filter(None, [report.best.keeping()]), *found]
         for direction in report.best.flat_directions:
-            names = _listed([called(name) for name, change in direction.items() if change])
+            names = listed([called(name) for name, change in direction.items() if change])
             found.append(f"the optimum is not unique: the result does not change along {names}; fix one of these")
         for name in dict.fromkeys(name for one in report.sensitivities for name in one.touching):
             found.append(f"{called(name)} is just met: sensitivities apply to increasing values")
@@ -376,19 +375,13 @@ def _place(value: float, lower: float, upper: float, log: bool) -> float:
     return (value - lower) / (upper - lower)
 
 
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)
-
-
-_BLUE, _RED, _GREEN, _PURPLE, _ORANGE, _SKY, _GREY = COLOURS
+_BLUE, _RED, _GREEN, _PURPLE, _ORANGE, _, _GREY = COLOURS
 ASSETS: Final = files("plough_opt.app") / "assets"
 """Folder of the files that make up the page."""
 # Sides of the polygon that represents a cone's base: a circle at the resolution of a screen.
 _SIDES: Final = 96
 # Significant digits of the data: more than a screen resolves.
 _DIGITS: Final = 6
-# Designs of the search that are drawn: more would hide each other.
-_MOST_DESIGNS: Final = 1500
 
 
 def charts(report: Report) -> list[dict[str, Any]]:
@@ -425,43 +418,6 @@ def _chart(run: Run, panel: Panel) -> dict[str, Any]:
             for label, value, colour, dash in lines
         ],
     }
-
-
-def search(report: Report) -> list[dict[str, Any]]:
-    """Return a chart for each variable: the objective of the designs of the search, with the local optima."""
-    best = report.best
-    if best is None or best.search is None or not len(best.search.objective):
-        return []
-    found = best.search
-    # Omit designs far above the optima, so that these can be told apart, and infeasible ones far below them.
-    feasible = found.objective[found.violation <= FEASIBLE]
-    median = np.quantile(feasible, [0.5]) if len(feasible) else [0.0]
-    high = max(*(one.objective for one in best.local_optima), *median)
-    low = best.objective - 0.25 * (high - best.objective)
-    shown = (found.objective <= high) & (found.objective >= low)
-    step = max(1, int(np.sum(shown)) // _MOST_DESIGNS)
-    rows = np.flatnonzero(shown)[::step]
-    meets = found.violation[rows] <= FEASIBLE
-    charts = []
-    for number, (key, variable) in enumerate(report.problem.variables.items()):
-        values = found.values[rows, number] / variable.display.factor
-        optima = best.local_optima
-        charts.append({
-            "id": f"search{number}",
-            "title": _sentence(called(key)),
-            "says": f"Objective of {len(rows)} of the {found.designs} designs tried, over the {called(key)};"
-                    f" the best lies at {variable.display.text(best.variables[key], 4)}.",
-            "x": {"label": called(key), "unit": _unit(variable.display), "log": variable.log},
-            "y": {"label": "objective", "unit": ""},
-            "groups": _drawn(
-                _group("fails a requirement", "#b5bcc2", 3, values[~meets], found.objective[rows][~meets]),
-                _group("meets all requirements", _SKY, 4, values[meets], found.objective[rows][meets]),
-                _group("other local optima", _RED, 9, [one.variables[key] / variable.display.factor
-                                                       for one in optima[1:]], [one.objective for one in optima[1:]]),
-                _group("best", "#000000", 11, [best.variables[key] / variable.display.factor], [best.objective]),
-            ),
-        })  # fmt: skip
-    return charts
 
 
 def _drawn(*groups: dict[str, Any]) -> list[dict[str, Any]]:
@@ -575,7 +531,7 @@ def design_page(best: Optimum, model: PageModel, title: str, made: str) -> str:
     """
     optima = [_marks("other optima", _GREEN, [one.variables for one in best.local_optima[1:]])]
     known = {"marks": optima, "best": best.variables, "error": max(best.gap, best.error_estimate)}
-    shown = {"charts": [], "search": [], "front": [], "model": model.data | known}
+    shown = {"charts": [], "front": [], "model": model.data | known}
     return _rendered("design.html", title=title, best=best, made=made, data=shown, model=model)
 
 
@@ -639,7 +595,6 @@ def data(report: Report) -> dict[str, Any]:
     """Return the data that the page's scripts draw."""
     return {
         "charts": charts(report),
-        "search": search(report),
         "bodies": bodies(report),
         "front": front(report),
         "motion": motion(report.run),

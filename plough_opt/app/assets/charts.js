@@ -113,7 +113,7 @@ function build(chart) {
   return { chart, u, fit };
 }
 
-const CHARTS = [...DATA.charts, ...DATA.front, ...DATA.search].map(build);
+const CHARTS = [...DATA.charts, ...DATA.front].map(build);
 
 /* Paper is narrower than most screens: A4 within its margins is 672 px wide. */
 addEventListener("beforeprint", () => CHARTS.forEach(({ chart, fit }) => fit(chart.id === "force" ? 660 : 320)));

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from plough_opt.app.page_model import PageModel, page_model, shown_in, without_random
 from plough_opt.app.panels import Panel, changing, deflection_of, force_of
 from plough_opt.core.errors import InputError, listed
-from plough_opt.core.files import COLOURS
+from plough_opt.core.files import COLOURS, text_of
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.tables import Grid
@@ -376,8 +375,6 @@ def _place(value: float, lower: float, upper: float, log: bool) -> float:
 
 
 _BLUE, _RED, _GREEN, _PURPLE, _ORANGE, _, _GREY = COLOURS
-ASSETS: Final = files("plough_opt.app") / "assets"
-"""Folder of the files that make up the page."""
 # Sides of the polygon that represents a cone's base: a circle at the resolution of a screen.
 _SIDES: Final = 96
 # Significant digits of the data: more than a screen resolves.
@@ -603,4 +600,4 @@ def data(report: Report) -> dict[str, Any]:
 
 def asset(name: str) -> str:
     """Return the text of one of the files that make up the page."""
-    return (ASSETS / name).read_text(encoding="utf-8")
+    return text_of("plough_opt.app", f"assets/{name}")

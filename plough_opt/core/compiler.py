@@ -29,13 +29,14 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import Final
 
 import casadi as ca
 
 from plough_opt.core.errors import InputError, short
+from plough_opt.core.files import text_of
 
 Variant = tuple[tuple[str, ...], tuple[str, ...]]
 """Compiler flags and libraries of one attempt to compile."""
@@ -371,50 +372,6 @@ LANE_BY_LANE = _named("floor ceil sqrt")
 # Operation -> function that `vectors.c` defines.
 _OWN = {ca.OP_FABS: "v_fabs", ca.OP_SIGN: "v_sign", ca.OP_FMIN: "v_min", ca.OP_FMAX: "v_max"}
 
-_MAP = """
-/* Evaluates a function. Arrays have a column for each of n designs. */
-void {name}(int64_t n, const double *in, double *out) {{
-  for (int64_t first = 0; first < n; first += LANES) {{
-    const int64_t many = n - first < LANES ? n - first : LANES;
-    V x[{inputs}], y[{results}];
-    for (int j = 0; j < {inputs}; j++) for (int k = 0; k < LANES; k++)
-      x[j][k] = in[j * n + first + (k < many ? k : many - 1)];
-{body}
-    for (int j = 0; j < {results}; j++) for (int k = 0; k < many; k++) out[j * n + first + k] = y[j][k];
-  }}
-}}
-"""
-
-_RUN = """
-/* Integrates designs in the given order, LANES at a time. Arrays have a column for each of n designs. */
-void run(int64_t n, int64_t count, const int64_t *order, const double *in, double *states, double *steps,
-         double most) {{
-  for (int64_t first = 0; first < count; first += LANES) {{
-    int64_t which[LANES];
-    choose(count, order, first, which);
-    V p[{parameters}], x[{state}], y[{state}], taken = {{0}};
-    for (int j = 0; j < {parameters}; j++) p[j] = gather(in + j * n, which);
-    for (int j = 0; j < {state}; j++) x[j] = gather(states + j * n, which);
-{phases}
-    for (int k = 0; k < LANES && first + k < count; k++) {{
-      for (int j = 0; j < {state}; j++) states[j * n + which[k]] = x[j][k];
-      steps[which[k]] = taken[k];
-    }}
-  }}
-}}
-"""
-
-_PHASE = """    {{
-{once}
-    for (;;) {{
-      const M open = (x[0] < p[{end}]) & (taken < most);
-      if (!any(open)) break;
-{each}
-      for (int j = 0; j < {state}; j++) x[j] = v_pick(open, y[j], x[j]);
-      taken += v_one(open);
-    }}
-    }}"""
-
 
 def variants(*flags: str, scheduling: tuple[str, ...] = ()) -> tuple[Variant, ...]:
     """Return how to compile: with the vector functions of the GNU C library, without them, and for any processor.
@@ -453,25 +410,20 @@ def c_source(maps: Mapping[str, ca.Function], phases: Sequence[Phase], parameter
     Raises:
         InputError: an operation without a vector form.
     """
-    lines = [c_file("vectors.c")]
+    a_map, run, phase = map(Template, text_of(__package__, "batch.c").split("/* ---- */\n"))
+    lines = [text_of(__package__, "vectors.c")]
     for name, one in maps.items():
         text = Statements(one, ("x",))
         body = "\n".join([*text.once, *text.each])
-        lines.append(_MAP.format(name=name, inputs=one.numel_in(0), results=one.numel_out(), body=body))
+        lines.append(a_map.substitute(name=name, inputs=one.numel_in(0), results=one.numel_out(), body=body))
     state = phases[0][0].numel_out()
     loops = []
     for step, end in phases:
         text = Statements(step, ("x", "p"))
         once, each = "\n".join(text.once), "\n".join(text.each)
-        loops.append(_PHASE.format(once=once, each=each, end=end, state=state))
-    lines.append(_RUN.format(parameters=parameters, state=state, phases="\n".join(loops)))
+        loops.append(phase.substitute(once=once, each=each, end=end, state=state))
+    lines.append(run.substitute(parameters=parameters, state=state, phases="\n".join(loops)))
     return "\n".join(lines)
-
-
-@lru_cache(maxsize=2)
-def c_file(name: str) -> str:
-    """Return the text of a C file in this folder."""
-    return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,9 @@ import threading
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from importlib import import_module
+from importlib.resources import files as beside
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias
@@ -83,6 +85,12 @@ def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") 
         raise InputError(f"{name} cannot be read as text: it is not UTF-8") from None
     except OSError as error:
         raise InputError(f"{name} cannot be read: {error.strerror}") from None
+
+
+@lru_cache(maxsize=8)
+def text_of(package: str, name: str) -> str:
+    """Return a text file that lies beside the modules of a package of this toolkit, such as C source."""
+    return beside(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def exact_text(path: Path) -> str:

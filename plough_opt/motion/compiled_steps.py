@@ -18,8 +18,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.compiler import Statements, c_file, library, variants
+from plough_opt.core.compiler import Statements, library, variants
 from plough_opt.core.errors import InputError
+from plough_opt.core.files import text_of
 from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.orbit import DIFFERENCE, LAST_STEP, MOST_ITERATIONS, near_orbit, returning
 from plough_opt.motion.plan import rates
@@ -177,7 +178,7 @@ def source_of(structure: Structure) -> str:
     one = Statements(ca.Function("advance", [state, span, p], [result]), ("x", "s", "p"))
     names, outputs = equation.outputs
     observed = Statements(outputs, ("x", "p"))
-    source = Template(c_file("steps.c")).substitute(
+    source = Template(text_of("plough_opt.core", "steps.c")).substitute(
         given=p.numel(),
         width=result.numel(),
         count=equation.count,
@@ -194,7 +195,7 @@ def source_of(structure: Structure) -> str:
         observed_once="\n".join(observed.once),
         observed_each="\n".join(observed.each),
     )
-    return c_file("vectors.c") + source
+    return text_of("plough_opt.core", "vectors.c") + source
 
 
 class ManyRuns:

@@ -1,7 +1,6 @@
 """Problem files: a design question as a TOML file of quantities with units."""
 
-from importlib.resources import files
-
+from plough_opt.core.files import text_of
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.reading import read_problem
 
@@ -10,4 +9,4 @@ __all__ = ["Problem", "read_problem", "template"]
 
 def template() -> str:
     """Return the commented problem file that `plough-opt init` writes."""
-    return (files(__name__) / "template.toml").read_text(encoding="utf-8")
+    return text_of(__name__, "template.toml")

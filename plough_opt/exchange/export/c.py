@@ -5,7 +5,6 @@ import tempfile
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -14,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import Content, check_file, check_new_folder, write_files, write_folder
+from plough_opt.core.files import Content, check_file, check_new_folder, text_of, write_files, write_folder
 from plough_opt.exchange.component import RELAXATION, Component, Port, corner_points, interior_points
 
 MOST_ULP = 4
@@ -76,8 +75,7 @@ def _header(component: Component) -> str:
 
 def _filled(template: str, **values: Any) -> str:
     """Return one of the C files beside this one with values in the places of their names."""
-    text = files("plough_opt.exchange.export").joinpath(template).read_text(encoding="utf-8")
-    return Template(text).substitute(values)
+    return Template(text_of(__package__, template)).substitute(values)
 
 
 def _functions(component: Component) -> dict[str, ca.Function]:
@@ -95,12 +93,9 @@ def _functions(component: Component) -> dict[str, ca.Function]:
 
 def _source(component: Component, functions: Mapping[str, ca.Function]) -> str:
     """Return CasADi's code of the Functions, with the tables and the two functions that the header declares."""
-    name = component.name()
+    name, values, slopes = component.name(), functions["evaluate"], functions["jacobian"]
     outputs = [(port, k) for port in component.outputs for k in range(port.size)]
-    parts = [
-        f'#include <float.h>\n#include <math.h>\n#include <stdlib.h>\n\n#include "{name}.h"\n',
-        _UNUSED,
-        _casadi_code(name, functions.values()),
+    tables = [
         _strings(f"{name}_input_names", (port.name for port in component.inputs)),
         _strings(f"{name}_input_units", (port.unit for port in component.inputs)),
         _doubles(f"{name}_input_lower", [port.lower for port in component.inputs]),
@@ -108,10 +103,14 @@ def _source(component: Component, functions: Mapping[str, ca.Function]) -> str:
         _doubles(f"{name}_input_values", [port.value for port in component.inputs]),
         _strings(f"{name}_output_names", (_element(port, k) for port, k in outputs)),
         _strings(f"{name}_output_units", (port.unit for port, _ in outputs)),
-        _OUTSIDE.format(name=name, count=len(component.inputs), beyond=float(RELAXATION).hex()),
-        *(_public_function(name, verb, function) for verb, function in functions.items()),
     ]
-    return "\n".join(parts)
+    sizes = {size: max(getattr(one, f"sz_{size}")() for one in (values, slopes)) + 1 for size in ("arg", "res", "iw")}
+    return _filled(
+        "component.c", name=name, graph=_casadi_code(name, functions.values()), tables="\n".join(tables),
+        inputs=len(component.inputs), beyond=float(RELAXATION).hex(), **sizes,
+        work_values=values.sz_w() + 1, count_values=values.numel_out(0),
+        work_slopes=slopes.sz_w() + 1, count_slopes=slopes.numel_out(0),
+    )  # fmt: skip
 
 
 def _casadi_code(name: str, functions: Collection[ca.Function]) -> str:
@@ -126,30 +125,6 @@ def _casadi_code(name: str, functions: Collection[ca.Function]) -> str:
     for function in functions:
         generator.add(function)
     return str(generator.dump())
-
-
-def _public_function(name: str, verb: str, function: ca.Function) -> str:
-    """Return the C of a function in the header: it checks the inputs, and calls CasADi's with working memory."""
-    sizes = [int(size) for size in (function.sz_arg(), function.sz_res(), function.sz_iw() + 1, function.sz_w() + 1)]
-    return f"""int {name}_{verb}(const double *inputs, double *results) {{
-  const casadi_real *arg[{sizes[0]}];
-  casadi_real *res[{sizes[1]}];
-  casadi_int iw[{sizes[2]}];
-  casadi_real *w;
-  int k, failed = {name}_outside(inputs) ? 2 : 0;
-  if (!failed) {{
-    w = (casadi_real *) malloc({sizes[3]} * sizeof *w);
-    arg[0] = inputs;
-    res[0] = results;
-    failed = w && !{function.name()}(arg, res, iw, w, 0) ? 0 : 1;
-    free(w);
-  }}
-  for (k = 0; k < {function.numel_out(0)} && !failed; ++k)
-    if (!(fabs(results[k]) <= DBL_MAX)) failed = 3;
-  for (k = 0; k < {function.numel_out(0)} && failed; ++k) results[k] = NAN;
-  return failed;
-}}
-"""
 
 
 def _test(component: Component, functions: Mapping[str, ca.Function]) -> str:
@@ -183,25 +158,6 @@ def _row(values: Iterable[float]) -> str:
 def _rows(values: Iterable[Iterable[float]]) -> str:
     return ",\n".join(f"  {{{_row(row)}}}" for row in values)
 
-
-# All functions that CasADi generates have the same parameters, whether they use them or not.
-_UNUSED = """\
-#ifdef __GNUC__
-#pragma GCC diagnostic ignored "-Wunused-parameter"
-#endif
-"""
-
-_OUTSIDE = """\
-/* Whether an input is not a number, or lies outside its bounds by more than optimisers relax them. */
-static int {name}_outside(const double *inputs) {{
-  int k;
-  for (k = 0; k < {count}; ++k) {{
-    double slack = {beyond} * ({name}_input_upper[k] - {name}_input_lower[k]);
-    if (!(inputs[k] >= {name}_input_lower[k] - slack && inputs[k] <= {name}_input_upper[k] + slack)) return 1;
-  }}
-  return 0;
-}}
-"""
 
 _MAKEFILE = """\
 test: NAME_test

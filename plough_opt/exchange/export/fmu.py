@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
-from importlib.resources import files
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -34,7 +33,7 @@ from plough_opt.core.expressions import (
     map_expressions,
     template_of,
 )
-from plough_opt.core.files import check_file, write_file
+from plough_opt.core.files import check_file, text_of, write_file
 from plough_opt.core.quantities import BESIDE, EVERY
 from plough_opt.core.units import registry
 from plough_opt.exchange.building import NamedScene
@@ -515,8 +514,7 @@ def c_source(model: FmuModel, *, pushes: bool, by_speed: bool) -> tuple[str, str
         pushes: whether the contact law lets soil push a retreating share; the FMU then logs a warning if it retreats.
         by_speed: whether the strut's speed is the input.
     """
-    folder = files("plough_opt.exchange.export")
-    runtime = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("fmu_runtime.c", "fmu_optional.c"))
+    runtime = (text_of(__package__, name) for name in ("fmu_runtime.c", "fmu_optional.c"))
     # CasADi's functions are static: only the runtime in the same source calls them.
     generator = ca.CodeGenerator("share.c", {"with_header": False, "main": False, "casadi_int": "long long"})
     for function in model.functions.values():

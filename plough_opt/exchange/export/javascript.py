@@ -14,7 +14,7 @@ import casadi as ca
 
 from plough_opt.core.compiler import LANE_BY_LANE, LIBRARY, LIBRARY_OF_TWO, instructions, name_of
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import check_file, write_file
+from plough_opt.core.files import check_file, text_of, write_file
 from plough_opt.exchange.component import RELAXATION, Component, Port
 
 # Operation -> expression of its operands. JavaScript's numbers are doubles, and a condition becomes 0 or 1.
@@ -31,36 +31,6 @@ _EXPRESSIONS: Final = {
     **{code: f"Math.{name}({{0}}, {{1}})" for code, name in LIBRARY_OF_TWO.items()},
 }  # fmt: skip
 
-# Operations on whole matrices, given by their elements column by column, without those that are zero by structure.
-_HELPERS: Final = """\
-// As fmin and fmax of C: a number rather than NaN.
-const least = (a, b) => a <= b || b !== b ? a : b;
-const most = (a, b) => a >= b || b !== b ? a : b;
-const each = (f, a) => a.map((x) => f(x));
-const pairwise = (f, a, b) => a.length >= b.length
-  ? a.map((x, i) => f(x, b[b.length === 1 ? 0 : i])) : b.map((y) => f(a[0], y));
-const transposed = (a, rows) => a.map((_, i) => a[Math.floor(i / (a.length / rows)) + rows * (i % (a.length / rows))]);
-/** z + x y; x has as many rows as given, and y holds the elements in rows `row`, those of column j from `start[j]`. */
-function product(z, x, y, rows, start, row) {
-  const sum = z.slice();
-  for (let j = 0; j + 1 < start.length; j++) {
-    for (let k = start[j]; k < start[j + 1]; k++) {
-      for (let i = 0; i < rows; i++) sum[i + j * rows] += x[i + row[k] * rows] * y[k];
-    }
-  }
-  return sum;
-}
-/** The results of a function for each column of its arguments, side by side. */
-function mapped(f, count, ...all) {
-  const results = [];
-  for (let k = 0; k < count; k++) {
-    f(...all.map((a) => a.slice(k * a.length / count, (k + 1) * a.length / count)))
-      .forEach((one, i) => { (results[i] ||= []).push(...one); });
-  }
-  return results;
-}
-"""
-
 
 class Source:
     """JavaScript of CasADi Functions, each written once.
@@ -73,7 +43,7 @@ class Source:
     """
 
     def __init__(self, asks: str) -> None:
-        self._asks, self._names, self._parts = asks, dict[int, str](), [_HELPERS]
+        self._asks, self._names, self._parts = asks, dict[int, str](), [text_of(__package__, "functions.js")]
         self._constants: dict[str, str] = {}
         self._written: dict[str, str] = {}
         self._kept: list[ca.Function] = []  # so that no other Function gets the hash of one that is gone
@@ -252,18 +222,16 @@ def write_javascript(component: Component, path: str | Path) -> Path:
     source = Source("export to c or casadi instead, or leave out the effect that needs it")
     values = source.add(component)
     heading = str(component).replace("*/", "* /").replace("\n", "\n * ")
-    text = _MODULE.format(
-        version=version("plough_opt"),
-        heading=heading,
-        inputs=json.dumps([_input(port) for port in component.inputs], indent=2, ensure_ascii=False),
-        outputs=json.dumps([_output(port) for port in component.outputs], indent=2, ensure_ascii=False),
-        given=_types(component.inputs, "?"),
-        found=_types(component.outputs),
-        functions=source,
-        values=values,
-        relaxation=number(RELAXATION),
+    parts = (
+        f"// Written by plough_opt {version('plough_opt')}. It needs nothing else.\n/*\n * {heading}\n */\n",
+        _types("Values", "Values of the inputs in SI units; one that is left out has its own.", component.inputs, "?"),
+        _types("Results", "Results in SI units.", component.outputs),
+        _list("Input", "inputs", map(_input, component.inputs)),
+        _list("Output", "outputs", map(_output, component.outputs)),
+        text_of(__package__, "module.mjs"),
+        f"const RELAXATION = {number(RELAXATION)};\n\n{source}\nconst computed = {values};\n",
     )
-    return write_file(target, "JavaScript module", text)
+    return write_file(target, "JavaScript module", "\n".join(parts))
 
 
 def _input(port: Port) -> dict[str, Any]:
@@ -275,84 +243,19 @@ def _output(port: Port) -> dict[str, Any]:
     return {"name": port.name, "unit": port.unit, "atLeast": low, "atMost": high, "size": port.size}
 
 
-def _types(ports: Iterable[Port], optional: str = "") -> str:
-    """Return the members of a JSDoc type, a line with unit and limits for each port."""
+def _list(kind: str, name: str, entries: Iterable[dict[str, Any]]) -> str:
+    """Return the export of a list of objects of one JSDoc type."""
+    text = json.dumps([*entries], indent=2, ensure_ascii=False)
+    return f"/** @type {{{kind}[]}} */\nexport const {name} = {text};\n"
+
+
+def _types(name: str, about: str, ports: Iterable[Port], optional: str = "") -> str:
+    """Return a JSDoc type whose members are ports, a line with unit and limits for each."""
     lines = []
     for port in ports:
         ends = (("at least", port.lower), ("at most", port.upper))
         limits = [f"{side} {end:g}" for side, end in ends if math.isfinite(end)]
         many = f" at {port.size} output times" if port.size > 1 else ""
-        about = ", ".join([f"in {port.unit or 'no unit'}{many}", *limits]).replace("*/", "* /")
-        lines.append(f" *   {json.dumps(port.name)}{optional}: number{'[]' if port.size > 1 else ''}, // {about}")
-    return "\n".join(lines)
-
-
-_MODULE: Final = """\
-// Written by plough_opt {version}. It needs nothing else.
-/*
- * {heading}
- */
-
-/** @typedef {{{{ name: string, unit: string, lower: number, upper: number, value: number }}}} Input */
-/** @typedef {{{{ name: string, unit: string, atLeast: number | null, atMost: number | null, size: number }}}} Output */
-/**
- * Values of the inputs in SI units; an input that is left out has its own value.
- * @typedef {{{{
-{given}
- * }}}} Values
- */
-/**
- * Results in SI units.
- * @typedef {{{{
-{found}
- * }}}} Results
- */
-
-/** @type {{Input[]}} */
-export const inputs = {inputs};
-
-/** @type {{Output[]}} */
-export const outputs = {outputs};
-
-/**
- * Return the results at values of the inputs.
- * @param {{Values}} [values]
- * @returns {{Results}}
- * @throws {{TypeError}} a value that is not a finite number
- * @throws {{RangeError}} an unknown input, a value outside its bounds, or a result that is not finite
- */
-export function evaluate(values = {{}}) {{
-  const text = (/** @type {{any}} */ value) =>
-    typeof value === "string" || typeof value === "object" ? JSON.stringify(value) : String(value);
-  if (typeof values !== "object" || values === null || Array.isArray(values)) {{
-    throw new TypeError(`the values are ${{text(values)}}: give an object from names of inputs to numbers`);
-  }}
-  const known = new Set(inputs.map((input) => input.name));
-  for (const name of Object.keys(values)) {{
-    if (!known.has(name)) throw new RangeError(`there is no input "${{name}}": use ${{[...known].join(", ")}}`);
-  }}
-  const x = inputs.map((input) => {{
-    const {{ [input.name]: value = input.value }} = /** @type {{Record<string, number>}} */ (values);
-    if (typeof value !== "number" || !Number.isFinite(value)) {{
-      const unit = input.unit ? ` in ${{input.unit}}` : "";
-      throw new TypeError(`${{input.name}} = ${{text(value)}} is not a finite number: give one${{unit}}`);
-    }}
-    const slack = {relaxation} * (input.upper - input.lower);
-    if (!(value >= input.lower - slack && value <= input.upper + slack)) {{
-      const bounds = `between ${{input.lower}} and ${{input.upper}}`;
-      throw new RangeError(`${{input.name}} = ${{value}} ${{input.unit}} must lie ${{bounds}}`);
-    }}
-    return [value];
-  }});
-  const found = /** @type {{any}} */ ({values})(...x);
-  /** @type {{any}} */
-  const results = {{}};
-  outputs.forEach((output, k) => {{
-    if (!found[k].every(Number.isFinite)) throw new RangeError(`"${{output.name}}" has no finite value here`);
-    results[output.name] = output.size > 1 ? found[k] : found[k][0];
-  }});
-  return results;
-}}
-
-{functions}
-"""
+        of = ", ".join([f"in {port.unit or 'no unit'}{many}", *limits]).replace("*/", "* /")
+        lines.append(f" *   {json.dumps(port.name)}{optional}: number{'[]' if port.size > 1 else ''}, // {of}")
+    return "\n".join(["/**", f" * {about}", " * @typedef {{", *lines, f" * }}}} {name}", " */"])

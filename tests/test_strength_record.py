@@ -13,12 +13,12 @@ import pytest
 from helpers.commands import call
 from helpers.differences import differences
 from helpers.refusals import refusals
+from helpers.scenes import Shank
 from scipy import stats
 from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import plough_opt as po
-from plough_opt.expressions import sin
 from plough_opt.motion.equation import Structure, parameters
 from plough_opt.soil.strength import rare_peak
 
@@ -36,24 +36,6 @@ def record(seed, noise=0.15, even=True, waves=TRUE):
     x = np.arange(0.0, 40.0, 0.05) if even else np.sort(rng.uniform(0.0, 40.0, 800))
     strength = 1.0 + sum(a * np.sin(2 * math.pi * (x - x[0]) / length + p) for a, length, p in waves)
     return po.StrengthRecord(x, 1.5e6 * (strength + noise * rng.standard_normal(len(x))))
-
-
-@pytest.mark.parametrize("count", [12, pytest.param(500, marks=pytest.mark.slow)])
-def test_known_waves_lie_within_their_intervals(count):
-    inside = np.zeros((len(TRUE), 3))
-    for seed in range(count):
-        found = po.strength_waves(record(seed), 1.0).found
-        assert len(found) >= len(TRUE)
-        for k, (a, length, p) in enumerate(TRUE):
-            one = found[k]
-            inside[k] += (
-                abs(one.wave.amplitude - a) <= one.amplitude,
-                abs(one.wave.wavelength - length) <= one.wavelength,
-                abs(math.remainder(one.wave.phase - p, 2 * math.pi)) <= one.phase,
-            )
-    # Tolerance about 95 %: three standard deviations of the count, or the 3 % by which short records may deviate.
-    margin = 3.0 * math.sqrt(0.95 * 0.05 / count) if count < 500 else 0.03
-    assert np.all(np.abs(inside / count - 0.95) <= margin), inside / count
 
 
 def test_an_unevenly_spaced_record_gives_the_same_waves():
@@ -76,14 +58,6 @@ def test_a_drifting_record_gives_no_waves(seed):
     """A random walk is random strength of a long correlation."""
     walk = np.cumsum(np.random.default_rng(seed).standard_normal(200))
     assert not po.strength_waves(po.StrengthRecord(np.linspace(0.0, 10.0, 200), 1e6 + 2e4 * walk), 1.0).waves
-
-
-@pytest.mark.parametrize(("count", "most"), [(10, 2), pytest.param(50, 4, marks=pytest.mark.slow)])
-def test_noise_alone_gives_no_waves(count, most):
-    """One in a hundred records may give a wave by chance; no more than the most do with a probability of 0.998."""
-    found = [po.strength_waves(record(seed, waves=()), 1.0) for seed in range(count)]
-    assert sum(bool(one.found) for one in found) <= most
-    assert any("stands out from noise" in note for note in found[0].notes)
 
 
 @pytest.mark.parametrize("even", [True, False])
@@ -289,14 +263,16 @@ WAVES = [
 ]
 
 
-@pytest.mark.parametrize("field", [NOISE[2], NOISE[3], replace(NOISE[5], length=20.0)], ids=str)
+@pytest.mark.parametrize("field", [NOISE[0], NOISE[2], NOISE[3], replace(NOISE[5], length=20.0)], ids=str)
 def test_random_strength_gives_no_waves(field):
     """At three of a hundred records, two or more of five do with a probability of 1 %; the seeds are fixed."""
     assert studied(field, 5)[0] <= 1 / 5
+    assert any("stands out from noise" in note for note in po.strength_waves(field.record(0)[0], 1.0).notes)
 
 
-def test_the_intervals_hold_the_truth_beside_random_strength():
-    false, detected, inside = studied(WAVES[0], 8)
+@pytest.mark.parametrize("field", WAVES[:2], ids=str)
+def test_the_intervals_hold_the_truth_beside_random_strength(field):
+    false, detected, inside = studied(field, 8)
     assert false <= 1 / 8
     assert detected[0] == 1.0
     # With correct intervals, this many or fewer of eight cover in one case of ten thousand.
@@ -344,42 +320,6 @@ def test_the_noise_of_a_force_is_the_soils_through_its_rig():
 
 
 # --- random strength: the stationary RMS against integrals, orbits and simulations of independent code ---
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """The varying part F0 (1 + kappa L'^2) sum(eps sin(q L + phi)) of a resistance."""
-
-    static: float
-    rate: float
-    size: float
-    numbers: tuple[float, ...]
-    phases: tuple[float, ...]
-
-    def force(self, travel, speed):
-        sines = (sin(q * travel + p) for q, p in zip(self.numbers, self.phases, strict=True))
-        return self.static * (1.0 + self.rate * speed**2) * self.size * sum(sines)
-
-
-def quantiles(random, parts):
-    """Return the wave numbers below which the given parts of a spectrum's variance lie."""
-    if isinstance(random, po.RandomStrength):
-        return np.tan(parts * math.pi / 2.0) / random.correlation_length
-    q, density = random.wave_number, random.density
-    fine = np.linspace(q[0], q[-1], 200_001)
-    below = np.cumsum(np.interp(fine, q, density))
-    return np.interp(parts, below / below[-1], fine)
-
-
-def realisation(scene, count, seed):
-    """Return the scene with a realisation of its random strength: waves of equal variance, one from each part of it."""
-    random, rng = scene.effects.random_strength, np.random.default_rng(seed)
-    numbers = quantiles(random, (np.arange(count) + rng.uniform(size=count)) / count)
-    size = math.sqrt(2.0 * random.variance / count)
-    phases = rng.uniform(0.0, 2.0 * math.pi, count)
-    rate = scene.effects.rate_term or 0.0
-    drawn = Drawn(scene.reaction.static, rate, size, tuple(numbers.tolist()), tuple(phases.tolist()))
-    return replace(scene, effects=replace(scene.effects, random_strength=None, own=(drawn,)))
 
 
 RANDOM = po.RandomStrength(rms=0.05, correlation_length=0.3)
@@ -506,9 +446,9 @@ def test_expressions_have_the_values_of_numbers_and_exact_slopes(random, kind):
 
 
 def test_the_spectrum_of_a_record_gives_the_response_to_what_was_recorded():
-    drawn = realisation(scene(po.RandomStrength(0.15, 0.3)), 400, 2).effects.own[0]
-    path = np.arange(0.0, 200.0, 0.04)
-    record = po.StrengthRecord(path, 1.5e6 * (1.0 + drawn.force(path, 0.0) / drawn.static))
+    path = np.arange(0.0, 400.0, 0.04)
+    drawn = Field("exponential", 0.3).drawn(path, np.random.default_rng(2).standard_normal(len(path)))
+    record = po.StrengthRecord(path, 1.5e6 * (1.0 + 0.15 * drawn))
     found = scene(po.strength_spectrum(record)).stationary_force_rms
     # Eight segments, and a resonance as wide as a dozen of their wave numbers, leave a few per cent.
     assert found == pytest.approx(scene(po.RandomStrength(0.15, 0.3)).stationary_force_rms, rel=0.06)
@@ -522,7 +462,7 @@ STEADY = replace(scene(), effects=po.Effects(motion=False), medium="elastic")
 test_scenes_without_a_stationary_response_are_refused = refusals(
     po.InputError,
     (lambda: scene(damping=0.0, inertial_drag=False), "needs some damping"),
-    (lambda: scene(own=realisation(scene(), 2, 0).effects.own), "cannot include own resistances"),
+    (lambda: scene(own=(Shank(static=30.0),)), "cannot include own resistances"),
     (lambda: scene(formulation="printed"), "needs a spring that holds the share"),
     (lambda: replace(scene(), tow_speed=0.0), "needs a tow speed above 0"),
     (lambda: scene(strength_wave=(po.StrengthWave(0.1, 0.4),) * 2), "waves of different lengths"),

@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 from helpers import event_splitting
 from helpers.scenes import AVERAGES, R1_RUNS, SEROZEM, Own, Shank, scene_of
-from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.core.expressions import Expression, as_number, exp, maximum, minimum, sin, where
-from plough_opt.motion.batch.advance import Layout, StepStart, deviation_map, ellipse_after, largest_squared_error
 from plough_opt.motion.batch.series import Engine, Graph, Interpreter, series_of
-from plough_opt.motion.equation import Structure, parameters
 
 DESIGNS = np.array([[po.deg(25.0), 0.25, 5e4], [po.deg(45.0), 0.15, 8e3], [po.deg(10.0), 0.4, 3e5]])
 
@@ -221,9 +218,7 @@ def test_streams_and_threads_equal_one_call(batch_of, r1_wave):
 
 # --- how a batch follows the errors of its steps: by single steps, over long runs, and whoever else is in the call ---
 
-NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power", "error_estimate", "steps")
-# w(t) of a share, by its coefficients.
-PATH = (0.012, -0.4, 3.0, 20.0, -90.0)
+NAMES = (*AVERAGES, "error_estimate", "steps")
 # A design whose neighbouring motions diverge beyond the range of floating point.
 CHAOTIC = (0.639427778, 0.482322562, 8104.16376)
 
@@ -239,69 +234,6 @@ def difference(one, finer):
     """Return the difference of each design's force, relative to the larger of mean draft and RMS force."""
     made = np.maximum(abs(one.mean_draft - finer.mean_draft), abs(one.force_rms - finer.force_rms))
     return made / np.maximum(finer.mean_draft, finer.force_rms)
-
-
-def step_start(scene, time):
-    """Return the start of a step at a time after the tow ramp."""
-    layout, known = Layout.of(Structure.of(scene)), parameters(scene)
-    p = ca.DM([float(known[name]) for name in layout.names] + [0.0] * 4)
-    return StepStart(layout, ca.SX([time]), ca.SX(p), ramp_ended=True)
-
-
-def moved(scene, size, start=0.3):
-    """Return the map of a deviation over a step, by the batch and by integrating the equation of deviations."""
-    w = [ca.SX(c) for c in PATH] + [ca.SX(0)] * 6
-    rate, powers = [(k + 1) * c for k, c in enumerate(w[1:])], [ca.SX(size**k) for k in range(12)]
-    found = np.array([float(as_number(x)) for x in deviation_map(step_start(scene, start), (w, rate), powers)])
-
-    stiffness, inertia, speed, static = scene.stiffness, scene.inertia, scene.tow_speed, scene.reaction.static
-    first, wave, path = static / stiffness, 2.0 * math.pi / 0.6, np.polynomial.Polynomial(PATH)
-
-    def rates(t, e):
-        travel = speed * (start + t) - first - path(t)
-        spring = -(stiffness + 0.3 * wave * static * math.cos(wave * travel)) / inertia
-        return [*e[2:], *(spring * e[:2] - (scene.effects.damping or 0.0) / inertia * e[2:])]
-
-    exact = solve_ivp(rates, (0.0, size), [1.0, 0.0, 0.0, 1.0], method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-    scale = math.sqrt(stiffness / inertia)
-    return found.reshape(2, 2), exact.reshape(2, 2) * [[1.0, scale], [1.0 / scale, 1.0]]
-
-
-@pytest.mark.parametrize("damping", [None, 800.0])
-@pytest.mark.parametrize("stiffness", [6e3, 5e4])
-def test_deviations_over_a_step(r1_scene, r1_wave, damping, stiffness):
-    scene = r1_scene(stiffness=stiffness, strength_wave=r1_wave, damping=damping, inertial_drag=False)
-    sizes = np.array([0.005, 0.01, 0.02, 0.04])
-    errors = [np.max(np.abs(np.subtract(*moved(scene, size)))) for size in sizes]
-    # Order 4: the error of one step falls with the fifth power of its size, apart from that of the exponential.
-    assert np.polyfit(np.log(sizes[:3]), np.log(errors[:3]), 1)[0] > 4.5
-    # A typical step takes 0.04 s.
-    assert errors[-1] < 1e-3
-
-
-def test_an_ellipse_holds_all_sums_of_errors():
-    random, angles = np.random.default_rng(2), np.linspace(0.0, math.pi, 50)
-    directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    for _ in range(20):
-        root, move, made = random.normal(size=(2, 2)), random.normal(size=(2, 2)), random.uniform(0.01, 3.0)
-        before = [ca.SX(one) for one in (root @ root.T)[(0, 0, 1), (0, 1, 1)]]
-        p, q, r = (float(as_number(x)) for x in ellipse_after(before, move.ravel(), ca.SX(made)))
-        # In any direction the sum of two sets reaches as far as both together.
-        reach = np.linalg.norm(directions @ move @ root, axis=1) + made
-        held = np.sqrt(np.einsum("ki,ij,kj->k", directions, [[p, q], [q, r]], directions))
-        assert np.all(held > reach * (1.0 - 1e-12))
-        # The least sum of squared axes (Kurzhanski, Valyi 1997, section 2.7).
-        assert p + r == pytest.approx((np.linalg.norm(move @ root) + math.sqrt(2.0) * made) ** 2, rel=1e-12)
-
-
-@pytest.mark.parametrize("damping", [None, 800.0])
-def test_the_largest_error_of_the_force_is_that_on_the_ellipse(r1_scene, damping):
-    scene, angles = r1_scene(damping=damping), np.linspace(0.0, 2.0 * math.pi, 2000)
-    found = float(as_number(largest_squared_error(step_start(scene, 0.0), [ca.SX(x) for x in (3.0, -1.2, 2.0)])))
-    deflection, rate = np.linalg.cholesky([[3.0, -1.2], [-1.2, 2.0]]) @ [np.cos(angles), np.sin(angles)]
-    # Rates are in units of deflection times the natural frequency.
-    force = deflection + (damping or 0.0) / math.sqrt(scene.stiffness * scene.inertia) * rate
-    assert found == pytest.approx(np.max(force**2), rel=1e-5)  # of 2000 angles, one lies within 2e-3 of the best
 
 
 @pytest.mark.parametrize("error", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-6])

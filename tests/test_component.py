@@ -11,15 +11,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.differences import differences
-from helpers.equations import FIRM, forces, mp
-from helpers.high_precision import derivatives, differentiated
 from helpers.refusals import refusals
 from helpers.scenes import R1_RUNS, Shank, scene_of
 
 import plough_opt as po
 from plough_opt.core.quantities import QUANTITIES
-from plough_opt.exchange.building import Box
-from plough_opt.exchange.component import Port, corner_points, interior_points
 from plough_opt.laws import McKyesAli, UniversalEarthmoving
 from plough_opt.motion.vocabulary import MEASURES
 
@@ -69,34 +65,6 @@ def test_narrower_bounds_need_fewer_steps_and_a_given_number_is_used(r1, r1_scen
     assert few.accuracy.steps == 200
     assert few.error_estimate > 1e-6
     assert any("was not reached" in note for note in few.warnings)
-
-
-def test_all_derivatives_of_a_draft_agree_with_120_digits():
-    """Quasi-static, every quantity an input: value, gradient and Hessian against the textbook formulas."""
-    of_share, of_soil = [*FIRM][:3], [*FIRM][3:9]
-    names = {f"share.{key}": key for key in of_share} | {f"soil.{key}": key for key in of_soil}
-    names["scene.tow_speed"] = "speed"
-    soil, share = po.Soil(**{key: FIRM[key] for key in of_soil}), po.Wedge(*(FIRM[key] for key in of_share))
-    wave = po.StrengthWave(0.4, 0.7)
-    scene = po.Scene(soil, share, 5e4, 20.0, FIRM["speed"], po.Effects(motion=False, strength_wave=wave))
-    bounds = [po.Input(name, 0.9 * FIRM[own], 1.1 * FIRM[own]) for name, own in names.items()]
-    made = po.component(scene, 1.3, inputs=bounds, outputs=["mean_draft"])
-
-    def mean_draft(*x):
-        values = dict.fromkeys(FIRM, mp.mpf(0)) | dict(zip(names.values(), x, strict=True))
-        static, drag, _ = forces(values)
-        phase = 2 * mp.pi * values["speed"] * mp.mpf(1.3) / mp.mpf(0.7)
-        return static * (1 + mp.mpf(0.4) * (1 - mp.cos(phase)) / phase) + drag * values["speed"] ** 2
-
-    at = [FIRM[own] for own in names.values()]
-    value, gradient, hessian = derivatives(mean_draft, [mp.mpf(x) for x in at])
-    draft, first, second = differentiated(lambda *x: made.call([*x])[0], ca.MX, len(at))(at)
-    assert draft == pytest.approx(float(value), rel=2e-14)
-    parts = np.abs(at) / float(value)
-    assert first * parts == pytest.approx(np.array(gradient, dtype=float) * parts, abs=1e-12)
-    # Scaled second derivatives are of order one to a thousand, that by the phase's speed largest.
-    parts = np.outer(parts, np.abs(at))
-    assert second * parts == pytest.approx(np.array(hessian, dtype=float) * parts, rel=1e-11, abs=1e-11)
 
 
 def test_first_and_second_derivatives_of_a_motion_are_those_of_differences(r1):
@@ -350,10 +318,6 @@ def test_an_invalid_component_is_refused_with_the_reason(r1_scene, effects, requ
         po.component(r1_scene(**effects), **requested)
 
 
-def test_an_error_that_does_not_fall_ends_the_search_for_steps():
-    assert Box(None, po.Accuracy(), 1)._refined(10, lambda _: 1.0, 1e-6) == (10 * 2**6, 1.0)
-
-
 def test_default_bounds_are_within_the_domain(r1_scene):
     scene = r1_scene(strength_wave=po.StrengthWave(1.0, 0.6))
     names = ["soil.density_ratio", "share.wedge_angle", "scene.stiffness"]
@@ -393,13 +357,3 @@ def test_invalid_calls_are_refused(two_inputs, values, named, words):
 def test_a_retreating_share_gives_a_warning(r1_scene):
     made = po.component(r1_scene(start="rest"), 0.5, outputs=["mean_draft"], **_stiffness(2e3, 1e5))
     assert any("the share retreats, as at scene.stiffness" in note for note in made.warnings)
-
-
-def test_many_inputs_are_sampled_at_each_bound_alone():
-    many = [Port(f"x{k}", "", 1.0, 3.0, 2.0) for k in range(9)]
-    assert len(corner_points(many)) == 19
-    points = np.array(interior_points(many))
-    assert points.shape == (32, 9)
-    assert np.all((points > 1.0) & (points < 3.0))
-    # Evenly spread: every half of every input holds at least a quarter of the points.
-    assert np.all(np.abs((points > 2.0).mean(axis=0) - 0.5) <= 0.25)

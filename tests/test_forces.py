@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from helpers import equations
 from helpers import high_precision as hp
-from helpers.differences import differences
 from helpers.equations import FIRM, SOIL, forces, resistance
 from helpers.high_precision import assert_close, assert_derivatives, differentiated, mp
 from helpers.refusals import refusals
@@ -121,20 +120,6 @@ def test_scene_carries_no_part_of_the_plastic_gas():
         with pytest.raises(po.InputError, match="no compaction front"):
             loosened()
     assert json.loads(run.to_json())["specific_draft"] is None
-
-
-@pytest.mark.slow
-def test_symbolic_scene_has_the_derivatives_of_its_draft():
-    # Second derivatives are tested in tests/elastic.
-    def draft(speed, angle):
-        run = po.simulate(scene(share=po.Cone(angle, 0.25), tow_speed=speed), duration=1.0, outputs=3)
-        return run.mean_draft
-
-    x, at = ca.MX.sym("x", 2), np.array([20.0, 0.2])
-    gradient = ca.Function("f", [x], [ca.gradient(draft(*ca.vertsplit(x)), x)])(at).full().ravel()
-    slopes = differences(lambda y: draft(*(at * (1.0 + y)).tolist()), np.zeros(2), 1e-3)
-    # Rounding over the relative step.
-    np.testing.assert_allclose(gradient * at, slopes.ravel(), rtol=1e-10)
 
 
 # --- soils, and the domain of each property of a soil and a share ---
@@ -355,30 +340,6 @@ def test_forces_gradient_and_hessian_up_to_the_singularities(symbolic, change):
     assert_derivatives(symbolic([*values.values()]), wanted, DIGITS, FIRM)
 
 
-# A cone of half angle 15 degrees and base radius 50 mm at 2 m/s: locked density; force [N], with and without ambient
-# pressure; share of the ambient pressure in the static force [%]. The values come from a separate closed form for a
-# locked cylindrical cavity.
-POINT_FORCES = {
-    "loose sandy loam": (1800, 1162, 105, 92),
-    "firm sandy loam": (1840, 2120, 425, 81),
-    "serozem": (1700, 2075, 577, 73),
-    "hardpan": (1750, 4792, 1731, 64),
-    "heavy clay": (1600, 2181, 1366, 38),
-}
-
-
-@pytest.mark.parametrize("name", POINT_FORCES)
-def test_named_soil_resists_as_a_locked_cylindrical_cavity(name):
-    locked, force, without, share = POINT_FORCES[name]
-    soil = po.named_soil(name)
-    soil = replace(soil, density_ratio=soil.density / locked)
-    bare = replace(soil, ambient_pressure=0.0)
-    cone = po.Cone(po.deg(15.0), 0.05 / math.tan(po.deg(15.0)))
-    assert [po.resistance(cone, one, 2.0, 0.0) for one in (soil, bare)] == pytest.approx([force, without], abs=0.5)
-    static, bare_static = po.soil_reaction(cone, soil).static, po.soil_reaction(cone, bare).static
-    assert 100 * (1 - bare_static / static) == pytest.approx(share, abs=0.5)
-
-
 def test_arrays_are_computed_element_by_element():
     points = np.array([[*(FIRM | change).values()] for change in (*ORDINARY, *SINGULAR)])
     one_by_one = [outputs(point) for point in points.tolist()]
@@ -497,25 +458,20 @@ def test_density_ratio_follows_a_compression_test():
     np.testing.assert_allclose([float(of_pressure(p)) for p in at], expected, rtol=1e-12)
 
 
-WRONG_TESTS = [
-    (PRESSURES, LOST, SEROZEM, None),
-    (PRESSURES, LOST, replace(SEROZEM, ambient_pressure=5e3), "outside the compression test, 25 to 200 kPa"),
-    (PRESSURES, LOST[:3], SEROZEM, "not 4 and 3"),
-    ([5e4], [0.1], SEROZEM, "two or more"),
-    ([5e4, 4e4], [0.1, 0.2], SEROZEM, "must rise from above 0"),
-    ([5e4, 2e5], [0.1, 1.0], SEROZEM, "must rise from above 0 to below 1"),
-    ([5e4, np.nan], [0.1, 0.2], SEROZEM, "must rise"),
-    (["5 m", "6 m"], [0.1, 0.2], SEROZEM, "wrong unit"),
-    ("5 kPa", [0.1, 0.2], SEROZEM, "must be a list of pressures"),
-    (PRESSURES, LOST, "serozem", "must be the Soil"),
-    (PRESSURES, LOST, SEROZEM.with_density_profile(abs), "no density ratio"),
-]
+def compacted(pressure=PRESSURES, lost=LOST, soil=SEROZEM):
+    return po.Soil.from_compaction(pressure, lost, soil)
 
 
-@pytest.mark.parametrize(("pressure", "lost", "soil", "words"), WRONG_TESTS)
-def test_compression_tests_that_do_not_fit_are_refused(pressure, lost, soil, words):
-    if words is None:
-        assert po.Soil.from_compaction(pressure, lost, soil).density_ratio < 1.0 - LOST[2]
-        return
-    with pytest.raises(po.InputError, match=words):
-        po.Soil.from_compaction(pressure, lost, soil)
+test_compression_tests_that_do_not_fit_are_refused = refusals(
+    po.InputError,
+    (lambda: compacted(soil=replace(SEROZEM, ambient_pressure=5e3)), "outside the compression test, 25 to 200 kPa"),
+    (lambda: compacted(PRESSURES, LOST[:3]), "not 4 and 3"),
+    (lambda: compacted([5e4], [0.1]), "two or more"),
+    (lambda: compacted([5e4, 4e4], [0.1, 0.2]), "must rise from above 0"),
+    (lambda: compacted([5e4, 2e5], [0.1, 1.0]), "must rise from above 0 to below 1"),
+    (lambda: compacted([5e4, np.nan], [0.1, 0.2]), "must rise"),
+    (lambda: compacted(["5 m", "6 m"], [0.1, 0.2]), "wrong unit"),
+    (lambda: compacted("5 kPa", [0.1, 0.2]), "must be a list of pressures"),
+    (lambda: compacted(soil="serozem"), "must be the Soil"),
+    (lambda: compacted(soil=SEROZEM.with_density_profile(abs)), "no density ratio"),
+)

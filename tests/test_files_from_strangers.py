@@ -261,12 +261,16 @@ def test_problem_and_data_are_restored_byte_for_byte(tmp_path, mark, end):
     path = run.save(tmp_path / "a.json")
     origin = po.load(path).origin
     assert origin.sha256 == hashlib.sha256((tmp_path / "in" / "field.toml").read_bytes()).hexdigest()
-    origin.restore(tmp_path / "new")
+    printed("show", path, "--restore", tmp_path / "new")
+    done = call("show", path, "--restore", tmp_path / "new")
+    assert (done.status, "exists already" in done.said) == (2, True)  # nothing is overwritten
     for file in (tmp_path / "in").iterdir():
         assert (tmp_path / "new" / file.name).read_bytes() == file.read_bytes()
     assert po.read_problem(tmp_path / "new" / "field.toml").simulate().mean_draft == run.mean_draft
     shown = printed("show", path, "--problem")
     assert not {"\r", "\ufeff"} & {*shown}
+    for name in ("field.toml", "insertions.csv", "transect.csv"):
+        assert (PROBLEMS / name).read_text(encoding="utf-8").rstrip() in shown
 
 
 def test_two_data_files_of_one_name_are_both_kept(tmp_path):

@@ -16,14 +16,13 @@ import numpy as np
 import pytest
 from helpers.commands import call, cells, printed
 from helpers.every_result import EVERY, STILL, batch, fit, front, optimum, run
-from helpers.problem_files import PROBLEMS, SUBSOILER
+from helpers.problem_files import SUBSOILER
 from helpers.scenes import AVERAGES, Shank, scene_of
 from helpers.strict_json import strict
 
 import plough_opt as po
 from plough_opt.app.plots import plot_designs
 from plough_opt.core.expressions import exp
-from plough_opt.core.tables import Grid, Page
 from plough_opt.studies.calibration import model, quality
 from plough_opt.studies.uncertainty import distribution, robust
 from plough_opt.studies.uncertainty import result as uncertain
@@ -162,18 +161,6 @@ def test_a_sweep_prints_draws_and_gives_its_points(tmp_path):
     assert frame.attrs["units"] == {"force": "N"}
 
 
-def test_texts_of_a_user_are_escaped():
-    grid = Grid.of("<b>title</b>", "name", "value")
-    grid.row("[bold]x[/] & y", "two\nlines")
-    page = Page("<script>", (grid, "1 < 2"), ("a < b",), "end", "[red]")
-    html = page.html()
-    assert "<script>" not in html
-    assert "&lt;b&gt;title" in html
-    assert "two<br>lines" in html
-    assert "[bold]x[/] & y" in str(page)
-    assert str(grid).splitlines()[-1].strip() == "lines"
-
-
 def test_designs_in_python_keep_their_declarations(tmp_path):
     origin = po.load(optimum().save(tmp_path / "best.json")).origin
     declared = origin.declarations
@@ -252,10 +239,14 @@ INVALID_FILES = [
     ({"duration": [[1.0, 2.0], [3.0]]}, "at duration"),
     *((without, without) for without in ("title", "versions", "averages", "time")),
     (b"\x89PNG\r\n\x1a\n", "cannot be read"),
+    # Other JSON, nested too deep, with numbers that are none or too long, and what only looks like JSON.
+    *((text, "") for text in ("[" * 100_000, '{"a":' * 100_000, f'{{"schema": 2, "x": {"[" * 3000}{"]" * 3000}}}')),
+    *((f'{{"schema": {number}}}', "") for number in ("NaN", "-Infinity", "1e999", "9" * 5000)),
+    *((text, "") for text in ('{"schema": 2, "kind": "\\ud800"}', "\ufeff{}", "null", '"x"', "{}{}", "\x00")),
 ]
 
 
-@pytest.mark.parametrize(("text", "words"), INVALID_FILES)
+@pytest.mark.parametrize(("text", "words"), INVALID_FILES, ids=range(len(INVALID_FILES)))
 def test_an_invalid_file_is_refused(tmp_path, text, words):
     path = tmp_path / "result.json"
     whole = run().to_json()
@@ -274,6 +265,7 @@ def refused(path, words):
     with pytest.raises(po.InputError, match=rf"^[^\n]*{re.escape(str(path))}[^\n]*\Z") as caught:
         po.load(path)
     message = str(caught.value)
+    assert len(message.replace(str(path), "")) < 1000
     assert words in (message if words == WRONG or "(schema 2)" not in message else message.split("(schema 2)")[1])
 
 
@@ -323,14 +315,14 @@ def optimised(folder, speed):
 @pytest.fixture(scope="module")
 def saved(folder):
     """Two optima that differ in the tow speed."""
-    paths = {folder / "slow.json": "7.2 km/h", folder / "fast.json": "9 km/h"}
+    paths = {folder / "slow.json": "7.2 km/h", folder / "fast.json": "2.5 m/s"}
     for path, speed in paths.items():
         path.write_text(printed(*optimised(folder, speed), "--json"), encoding="utf-8")
     return [*paths]
 
 
 def test_a_saved_result_holds_what_made_it(folder, saved):
-    for path, speed in zip(saved, ("7.2 km/h", "9 km/h"), strict=True):
+    for path, speed in zip(saved, ("7.2 km/h", "2.5 m/s"), strict=True):
         origin = po.load(path).origin
         text = (folder / "share.toml").read_text(encoding="utf-8")
         assert origin.text == text
@@ -347,32 +339,31 @@ def test_a_file_name_that_is_no_text_is_saved_with_question_marks():
 
 
 def test_show_prints_the_same_tables(folder, saved):
-    words = optimised(folder, "9 km/h")
+    words = optimised(folder, "2.5 m/s")
     fresh, again = printed(*words).splitlines(), printed("show", saved[1]).splitlines()
     # The last line of the tables has the time that the solve took.
     assert again[: len(fresh) - 1] == fresh[:-1]
     assert again[-2].startswith("Made from share.toml (SHA-256 ")
-    assert '--set scene.tow_speed="9 km/h"' in again[-2]
+    assert '--set scene.tow_speed="2.5 m/s"' in again[-2]
     assert "plough_opt" in again[-1]
     assert strict(printed("show", saved[1], "--json")) == strict(saved[1].read_text(encoding="utf-8"))
-
-
-def beside(drafts):
-    """Return the cells of two drafts [N] with four digits each, and their difference in per cent of the first."""
-    first, second = drafts
-    return [*(f"{draft / 1e3:.4g} kN" for draft in drafts), f"{100.0 * (second / first - 1.0):+.3g} %"]
 
 
 def test_compare_sets_designs_side_by_side(saved, tmp_path):
     slow, fast = (po.load(path) for path in saved)
     picture = tmp_path / "both.svg"
     text = printed("compare", *saved, "--plot", picture)
+    # In one unit, that of the first.
     assert cells(text, "tow speed") == ["7.2 km/h", "9 km/h", "+25 %"]
-    assert cells(text, "mean draft") == beside([one.run.averages.mean_draft for one in (slow, fast)])
+    three = printed("compare", *saved[::-1], shutil.copy(saved[0], tmp_path / "third.json"))
+    assert cells(three, "tow speed") == ["2.5 m/s", "2 m/s", "2 m/s", "+20 %"]
+    first, second = (one.run.averages.mean_draft for one in (slow, fast))
+    drafts = [f"{draft / 1e3:.4g} kN" for draft in (first, second)]
+    assert cells(text, "mean draft") == [*drafts, f"{100.0 * (second / first - 1.0):+.3g} %"]
     assert cells(text, "objective")[:2] == [f"{one.objective:.6g}" for one in (slow, fast)]
     # What all have alike is no row.
     assert "cohesion" not in text
-    assert 'scene.tow_speed="9 km/h"' in text
+    assert 'scene.tow_speed="2.5 m/s"' in text
     assert picture.stat().st_size > 5000
     found = strict(printed("compare", *saved, "--json"))
     assert found["fast.json"]["share.height"] == fast.variables["share.height"]
@@ -395,22 +386,6 @@ def test_a_sweep_is_shown_from_its_store(tmp_path):
     assert "the store of a sweep has no problem file" in call("show", store, "--problem").said
 
 
-def test_the_problem_is_saved_with_its_data_and_can_be_restored(tmp_path, monkeypatch):
-    file, empty = tmp_path / "run.json", tmp_path / "empty"
-    empty.mkdir()
-    file.write_text(printed("simulate", PROBLEMS / "field.toml", "--json"), encoding="utf-8")
-    monkeypatch.chdir(empty)
-    shown = printed("show", file, "--problem")
-    for name in ("field.toml", "insertions.csv", "transect.csv"):
-        assert (PROBLEMS / name).read_text(encoding="utf-8").rstrip() in shown
-    printed("show", file, "--restore", "again")
-    found = po.load(file)
-    again = po.read_problem(empty / "again" / "field.toml", found.origin.overrides).simulate()
-    assert again.mean_draft == found.mean_draft
-    done = call("show", file, "--restore", "again")
-    assert (done.status, "exists already" in done.said) == (2, True)  # nothing is overwritten
-
-
 # The limit of the file, and one near the curve, which ends at 0.05 m: only that is drawn, in metres as the file has it.
 FILE_LIMITS = [([], "0.12 m, above this picture", []), (["require.deflection.at_most=0.06 m"], "0.06 m", [0.06, 0.06])]
 
@@ -423,16 +398,3 @@ def test_a_run_of_a_file_is_drawn_with_the_files_limits(tmp_path, changes, words
         (limit,) = [line for line in axes.lines if line.get_label().startswith("limit of the deflection")]
         assert limit.get_label() == f"limit of the deflection {words}"
         assert list(limit.get_ydata()) == drawn_at
-
-
-def test_shares_in_one_frame_are_saved_shown_and_compared(tmp_path):
-    words = (PROBLEMS / "two_shares.toml", "--set", "scene.duration=0.1 s", "--json")
-    slow, fast = tmp_path / "slow.json", tmp_path / "fast.json"
-    slow.write_text(printed("simulate", *words), encoding="utf-8")
-    fast.write_text(printed("simulate", *words, "--set", "scene.tow_speed=9 km/h"), encoding="utf-8")
-    assert strict(slow.read_text(encoding="utf-8"))["kind"] == "machine"
-    assert "together" in printed("show", slow)
-    text = printed("compare", slow, fast, "--plot", tmp_path / "both.svg")
-    for share in ("front", "rear"):
-        drafts = [po.load(path).runs[share].mean_draft for path in (slow, fast)]
-        assert cells(text, f"mean draft, {share}") == beside(drafts)

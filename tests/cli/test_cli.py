@@ -18,7 +18,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import casadi as ca
-import ezdxf
 import pytest
 import trimesh
 from helpers.commands import call, cells, printed
@@ -166,16 +165,6 @@ def test_its_json_reads_back_equal_and_its_picture_is_an_svg(optimised):
     averages = saved.run.averages
     assert averages.mean_draft / 1e3 + averages.force_rms / 1e3 == pytest.approx(0.825005709, abs=1e-8)
     assert ET.parse(folder / "r1.svg").getroot().tag.endswith("svg")
-
-
-def test_an_impossible_requirement_is_no_solution_and_the_conflict_is_named(tmp_path):
-    done = call("optimise", REFERENCE, "--set", "require.loosened_radius.at_least=2 m", "--plot", tmp_path / "r1.png")
-    assert (done.status, done.out) == (1, "")
-    assert done.err.startswith("no solution: ")
-    assert len(done.err.splitlines()) == 1
-    for words in ("'loosened_radius' (at least 2 m) fails by", "'half_angle' at most 15 deg", "upper bound 0.5 m of"):
-        assert words in done.err
-    assert list(tmp_path.iterdir()) == []
 
 
 USAGE = [
@@ -595,19 +584,6 @@ def test_what_to_do_next_can_be_pasted_whatever_the_folder_is_called(tmp_path):
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     assert "share" in subprocess.check_output(line, shell=True, text=True, env=os.environ | {"PATH": path})
     assert "next: plough-opt optimise '" in printed("init", folder / "a.toml")
-
-
-def test_parts_are_of_the_best_design_or_of_the_guesses(tmp_path):
-    still = ("--set", "effects={motion=false}", "--set", "scene.duration=0.1 s")
-    best = po.read_problem(REFERENCE, still[1::2]).optimise()[0].variables
-    for at, angle in (([], best["share.wedge_angle"]), (["--at", "guess"], po.deg(25))):
-        path = tmp_path / "a.dxf"
-        done = call("export", REFERENCE, "--to", "dxf", "--output", path, *still, *at)
-        assert (done.status, done.err) == (0, f"wrote {path}\n")
-        assert f"wedge angle {math.degrees(angle):.4g} deg" in done.out
-        (outline,) = ezdxf.readfile(path).modelspace().query("LWPOLYLINE")
-        (_, _), (x, y), _ = outline.get_points("xy")
-        assert math.atan2(-y, x) == pytest.approx(angle, rel=1e-9)
 
 
 def test_parts_have_units_and_bodies(tmp_path):

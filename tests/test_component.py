@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import json
 import pickle
 import re
 import subprocess
@@ -16,6 +17,7 @@ from helpers.scenes import R1_RUNS, Shank, scene_of
 
 import plough_opt as po
 from plough_opt.core.quantities import QUANTITIES
+from plough_opt.export import write_casadi
 from plough_opt.laws import McKyesAli, UniversalEarthmoving
 from plough_opt.motion.vocabulary import MEASURES
 
@@ -103,6 +105,46 @@ def test_a_pickle_gives_the_same_numbers_in_another_process(r1, tmp_path):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     here = (r1(*START), r1.slopes(*START).full().tolist(), r1.inputs, r1.error_estimate)
     assert done.stdout.strip() == " ".join(map(str, here))
+
+
+READER = """
+import sys
+sys.modules["plough_opt"] = None
+import json, casadi as ca
+f = ca.Function.load(sys.argv[1])
+x = ca.MX.sym("x", f.n_in())
+jacobian = ca.Function("slopes", [x], [ca.densify(ca.jacobian(ca.vertcat(*f.call(ca.vertsplit(x))), x))])
+at = json.loads(sys.argv[2])
+values = [float(value) for value in f.call(at)]
+assert not [name for name in sys.modules if name.startswith("plough_opt.")]
+print(json.dumps([f.name(), f.name_in(), f.name_out(), values, jacobian(at).full().tolist()]))
+"""
+
+
+def test_a_file_gives_the_same_numbers_in_a_process_without_plough_opt(r1, tmp_path):
+    path, description = tmp_path / "new" / "r1.casadi", tmp_path / "new" / "r1.json"
+    write_casadi(r1, path, description)
+    line = [sys.executable, "-c", READER, str(path), json.dumps(START)]
+    done = subprocess.run(line, capture_output=True, text=True, check=True)
+    slopes = r1.slopes(*START).full().tolist()
+    assert json.loads(done.stdout) == ["r1", r1.name_in(), r1.name_out(), [*r1(*START)], slopes]
+    told = json.loads(description.read_text())
+    assert told["inputs"] == [dataclasses.asdict(p) | {"argument": p.argument} for p in r1.inputs]
+    assert (told["error_estimate"], told["steps"]) == (r1.error_estimate, r1.accuracy.steps)
+    with pytest.raises(po.InputError, match=r"end in \.json"):
+        write_casadi(r1, path, tmp_path / "a.txt")
+
+
+def test_a_file_gives_nan_outside_its_bounds(r1, tmp_path):
+    loaded = ca.Function.load(str(write_casadi(r1, tmp_path / "r1.casadi")))
+    for k, port in enumerate(r1.inputs):
+        width = port.upper - port.lower
+        for value, finite in (
+            (port.lower - 0.9e-6 * width, True), (port.upper + 0.9e-6 * width, True), (np.nan, False),
+            (port.lower - 1.1e-6 * width, False), (port.upper + 1.1e-6 * width, False),
+        ):  # fmt: skip
+            found = loaded.call([*START[:k], value, *START[k + 1 :]])
+            assert {bool(np.isfinite(float(one))) for one in found} == {finite}
 
 
 def test_omitted_inputs_have_the_scenes_values(r1):

@@ -3,18 +3,18 @@
 import json
 import shutil
 import subprocess
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed
+from helpers.scenes import Shank, Waves
 
 import plough_opt as po
 from plough_opt.app.page import asset
 from plough_opt.app.page_model import AVERAGES, ROWS, design_model, frame_model, page_model, switches
-from plough_opt.core.errors import DomainError, InputError, PloughError
-from plough_opt.expressions import sin
+from plough_opt.core.errors import DomainError, PloughError
 from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.problem_file.schema import measures_of
 
@@ -203,20 +203,12 @@ def test_a_rough_run_for_the_landscape_is_near(tmp_path):
         assert abs(rough["peak_deflection"] - accurate["peak_deflection"]) < 0.1 * swing
 
 
-@dataclass(frozen=True)
-class Shank:
-    static: float = field(metadata={"unit": "N"})
-    viscous: float = field(metadata={"unit": "N*s/m"})
-
-    def force(self, travel, speed):
-        return self.static * (1.0 + 0.2 * sin(9.0 * travel)) + self.viscous * speed
-
-
 @needs_node
 def test_own_resistances_are_written_from_their_graph(tmp_path, monkeypatch):
     monkeypatch.setitem(OWN_EFFECTS, "shank", Shank)
-    own = ["effects.own=[{effect='shank', static='150 N', viscous='80 N*s/m'}]"]
-    problem = po.read_problem(SUBSOILER, own)
+    monkeypatch.setitem(OWN_EFFECTS, "waves", Waves)
+    own = "effects.own=[{effect='shank', static=150, viscous=80}, {effect='waves', sine=30, wavelength=0.7}]"
+    problem = po.read_problem(SUBSOILER, [own])
     model = page_model(problem)
     rows = designs(model, "as in the file")
     assert_equal(problem, rows, runs_of(problem, model, rows), in_node(model, rows, tmp_path))
@@ -285,20 +277,6 @@ def test_several_shares_are_those_of_their_machine(tmp_path):
             for name in ("mount_force", "deflection"):
                 assert found["rows"][f"{share}.{name}"] == pytest.approx(getattr(run, name), rel=1e-7)
     assert len(rows) > 1
-
-
-REFUSED = {
-    "approximations of periodic orbits": ["effects.orbit=linearised"],
-}
-
-
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_the_page_cannot_compute_is_refused_by_name(what, tmp_path):
-    file = tmp_path / "file.toml"
-    file.write_text(changed(('duration = "2 s"\n', "")) if "orbit" in what else COTTON, encoding="utf-8")
-    problem = po.read_problem(file, REFUSED[what])
-    with pytest.raises(InputError, match=what):
-        page_model(problem)
 
 
 WRONG = {"share.height": -0.1, "soil.density_ratio": 1.0, "share.wedge_angle": 1.6, "scene.stiffness": 0.0,

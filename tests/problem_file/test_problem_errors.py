@@ -7,6 +7,7 @@ from helpers.commands import call
 from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed
 
 import plough_opt as po
+from plough_opt.problem_file.sweep import ProblemSweep
 
 SOIL = 'name = "serozem"'
 ACCURACY = "[variables]"
@@ -265,9 +266,13 @@ def test_semicolon_files_may_have_decimal_commas(tmp_path):
         ("depth [cm]\tcone_index [kPa]\n0\t244,5\n", ("line 2", "comma", "point", "semicolons")),
         ("depth [cm];cone_index [kPa]\n0,5;244\n10;300.5\n", ("line 2", "line 3", "comma", "point")),
         ("depth [cm];cone_index [kPa]\n0;1.244,5\n", ("line 2", "1.244,5")),
+        # Of other columns the nearest by name or unit is proposed.
+        ("Tiefe [cm],cone_index [kPa]\n0,244\n", ("did you mean 'depth'",)),
+        ("dept [cm],cone_index [kPa]\n0,244\n", ("did you mean 'depth'",)),
+        ("depth [cm],Kegel [MPa]\n0,0.244\n", ("did you mean 'cone_index'",)),
     ],
 )
-def test_other_files_are_refused_with_the_comma_named(tmp_path, text, pieces):
+def test_other_files_are_refused_with_the_remedy(tmp_path, text, pieces):
     path = tmp_path / "readings.csv"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(po.InputError) as caught:
@@ -288,16 +293,6 @@ def test_columns_are_recognised_however_they_are_spelt(tmp_path, heading):
     )
     found = po.read_penetrometer(written(tmp_path, heading, ",", "."), (0.0, 0.5))
     assert found.insertions.tolist() == plain.insertions.tolist()
-
-
-@pytest.mark.parametrize(
-    ("heading", "proposed"),
-    [("Tiefe [cm]|cone_index [kPa]|cone_index [kPa]", "depth"), ("depth [cm]|Kegel [MPa]|Kegel [MPa]", "cone_index"),
-     ("dept [cm]|cone_index [kPa]|cone_index [kPa]", "depth")],
-)  # fmt: skip
-def test_of_other_columns_the_nearest_by_name_or_unit_is_proposed(tmp_path, heading, proposed):
-    with pytest.raises(po.InputError, match=f"did you mean '{proposed}'"):
-        po.read_penetrometer(written(tmp_path, heading, ",", "."), (0.0, 0.5))
 
 
 def test_measurements_are_read_by_the_same_headings(tmp_path):
@@ -343,8 +338,6 @@ def test_a_value_outside_its_own_bounds_is_noted():
 
 
 def test_a_sweep_outside_the_bounds_of_a_variable_is_noted():
-    from plough_opt.problem_file.sweep import ProblemSweep
-
     problem = po.read_problem(SUBSOILER)
     outside = ProblemSweep.of(problem, {"scene.stiffness": "5..50 kN/m:2"}).notes
     assert [note for note in outside if "outside" in note and "10 kN/m" in note]
@@ -359,12 +352,3 @@ def test_a_changed_soil_under_a_penetrometer_says_what_it_does_to_the_draft():
         assert f"{plain / 1e3:.4g} kN to {now / 1e3:.4g} kN" in note
         assert ("not used" in note) == unused
     assert po.read_problem(FIELD, ["scene.tow_speed=6 km/h"]).notes == ()
-
-
-def test_a_wrong_depth_of_a_penetrometer_speaks_of_depths(refusal, tmp_path):
-    (tmp_path / "insertions.csv").write_text((PROBLEMS / "insertions.csv").read_text(), encoding="utf-8")
-    text = COTTON.replace('name = "serozem"', 'name = "serozem"\npenetrometer = "insertions.csv"\ndepth = "25-45 cm"')
-    message = refusal(text)
-    assert "range of depths" in message
-    assert '"25..45 cm"' in message
-    assert "sample" not in message

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from helpers.commands import call, cells, printed
 from helpers.problem_files import COTTON, PROBLEMS, STATIC, changed
-from helpers.scripts import imported
 
 import plough_opt as po
 from plough_opt.motion.vocabulary import MEASURES
@@ -30,22 +29,6 @@ def steel_mass(wedge_angle, chisel_angle, height):
     """Return the mass of a solid steel cone of equal height and surface, by the source's own form of (7)."""
     p = math.pi * math.cos(chisel_angle) ** 2 / (2 * math.tan(wedge_angle))
     return 7850 * math.pi / 3 * height**3 * math.tan(math.asin(math.sqrt(p**2 + 1) - p)) ** 2
-
-
-def test_a_file_has_its_soil_variables_and_title():
-    reference = po.read_problem(PROBLEMS / "reference.toml")
-    assert reference.title == "R1: reference problem with three local optima"
-    assert reference.notes == ()
-    soil = reference.scene().soil
-    assert "reference.toml" in soil.source
-    properties = (soil.density, soil.density_ratio, soil.cohesion, soil.friction_angle, soil.tool_friction)
-    assert properties == pytest.approx((1400.0, 0.8, 15e3, 30 * DEG, 0.5))
-    found = {name: (v.lower, v.upper, v.guess, v.log, v.unit) for name, v in reference.variables.items()}
-    assert found == {
-        "share.wedge_angle": (*(pytest.approx(x * DEG) for x in (5, 60, 25)), False, "rad"),
-        "share.height": (0.10, 0.50, 0.25, False, "m"),
-        "scene.stiffness": (*(pytest.approx(x) for x in (5e3, 500e3, 50e3)), True, "N/m"),
-    }
 
 
 def test_a_file_simulates_as_the_same_scene_built_in_python():
@@ -219,18 +202,6 @@ def test_its_best_share_is_the_one_by_hand(search):
     # Strength varies slowly beside a mount of 90 rad/s: a few per cent more than what a rigid one passes on.
     rigid = scene.reaction.static * math.sqrt(scene.effects.random_strength.variance)
     assert 1.0 < scene.stationary_force_rms / rigid < 1.1
-
-
-def test_the_record_tells_what_it_was_made_of():
-    found = po.strength_waves(po.read_strength_record(PROBLEMS / "transect.csv"), 0.2)
-    largest = found.found[0]
-    with imported("make_field_data") as made:
-        # Beside random strength the noise at the rows' wave number is that of its spectrum: three half widths.
-        assert largest.wave.wavelength == pytest.approx(made.ROWS, abs=3.0 * largest.wavelength)
-        assert largest.wave.amplitude == pytest.approx(made.ROW_AMPLITUDE, abs=3.0 * largest.amplitude)
-        # Of some sixty independent lengths the variance scatters by a fifth, its root by a tenth.
-        put_in = math.hypot(made.RMS, made.ROW_AMPLITUDE / math.sqrt(2.0))
-        assert math.sqrt(found.variance) == pytest.approx(put_in, rel=0.25)
 
 
 SPEED = "variables.scene.tow_speed={lower='1 m/s', upper='3 m/s'}"

@@ -4,7 +4,6 @@ import contextlib
 import csv
 import functools
 import importlib
-import itertools
 import math
 import os
 import sqlite3
@@ -241,14 +240,6 @@ def test_a_script_without_a_guard_is_refused(script):
     # Only by the main process, not by its workers.
     assert error.count("Traceback") == 1
     assert "a script must call sweep under if __name__ == '__main__':" in error.splitlines()[-1]
-
-
-def test_a_grid_has_all_combinations_and_the_last_quantity_changes_fastest():
-    grid = PointGrid({"a": (1.0, 2.5, 7.0), "b": po.Range(-1.0, 1.0, 4), "c": po.Range(1.0, 1000.0, 3, log=True)})
-    expected = list(itertools.product((1.0, 2.5, 7.0), np.linspace(-1, 1, 4), np.geomspace(1, 1000, 3)))
-    assert grid.count == len(expected)
-    np.testing.assert_array_equal(grid.block(0, grid.count), expected)
-    np.testing.assert_array_equal(grid.block(5, 17), expected[5:17])
 
 
 def test_a_grid_of_a_trillion_points_needs_no_memory():

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import printed
-from helpers.problem_files import COTTON, PROBLEMS, STATIC, changed
+from helpers.problem_files import COTTON, PROBLEMS, STATIC, changed, refused_files
 
 import plough_opt as po
 from plough_opt.problem_file.uncertain import distribution_of, optimise_robust, uncertain_of
@@ -103,19 +103,7 @@ def test_the_insertions_spread_makes_the_design_robust(write):
     assert [mean, spread] == pytest.approx([np.mean(MEANS) * per, np.std(MEANS, ddof=1) * per], rel=1e-8)
 
 
-WRONG_READINGS = [
-    ("", "there are no readings"),
-    ("depth [cm]\n1\n", "line 1: one column depth and at least one column cone_index"),
-    ("depth [cm], cone_index [kPa]\n0, 1\n10, x\n", "line 3, column 'cone_index': 'x' is not a number"),
-    ("depth [cm], cone_index [kPa]\n0, 1\n10, -5\n", "-5 must be at least 0"),
-    ("depth [cm], cone_index [kPa]\n0, 1\n20, 5\n", "insertion 1: its readings cover 0 to 20 cm"),
-    ("depth [cm], cone_index [kPa]\n0, 1\n60, 5\n30, 5\n", r"line 4: .* must increase, but 0\.3 follows 0\.6"),
-    ("depth [cm], cone_index [kPa]\n0, 0\n60, 0\n", "its mean cone index is 0"),
-    ("insertion, depth [cm], cone_index [kPa], cone_index [kPa]\n1, 0, 1, 2\n", "single column cone_index"),
-]
-
-
-@pytest.mark.parametrize(("text", "words"), WRONG_READINGS)
+@pytest.mark.parametrize(("text", "words"), refused_files()["readings"])
 def test_what_is_wrong_with_a_file_has_its_place(write, text, words):
     path = write(text)
     with pytest.raises(po.InputError, match=words):
@@ -124,19 +112,7 @@ def test_what_is_wrong_with_a_file_has_its_place(write, text, words):
         po.read_problem(path)
 
 
-CONTRADICTIONS = [
-    ({"depth": '"45..25 cm"'}, "45"),
-    ({"depth": '"25 cm"'}, "not a range"),
-    ({"depth": '"25-45 cm"'}, r'range of depths.*"25\.\.45 cm"'),
-    ({"depth": "3"}, "belong together"),
-    ({"file": '"none.csv"'}, "there is no file"),
-    ({"more": 'cone_index = "1 MPa"'}, "both a cone index and a penetrometer"),
-    ({"more": "strength_factor = 2.0"}, "follows from the cone index"),
-    ({"more": 'adjust = "cohesian"'}, "'cohesion'"),
-]
-
-
-@pytest.mark.parametrize(("changes", "words"), CONTRADICTIONS)
+@pytest.mark.parametrize(("changes", "words"), refused_files()["depths"])
 def test_what_contradicts_itself_is_refused(write, changes, words):
     with pytest.raises(po.InputError, match=words):
         po.read_problem(write(**changes))
@@ -248,18 +224,7 @@ def test_the_sensitivity_to_the_ambient_pressure_holds_the_density_ratios_part(r
     assert "soil.density_ratio" not in problem.numbers()
 
 
-WRONG_TESTS = [
-    ("soil.ambient_pressure=10 kPa", "outside the compression test, 25 to 200 kPa"),
-    ("soil.density_ratio=0.8", "'soil.density_ratio' follows from the compaction"),
-    ("soil.compaction.volume_lost=[0.1, 0.2]", "as many pressures as compactions, two or more of each, not 3 and 2"),
-    ("soil.compaction.pressure=['1 m', '2 m', '3 m']", "wrong unit"),
-    ("soil.compaction.pressure=[25, 50, 200]", "'pressure' = 25.0 has no unit"),
-    ("soil.compaction.volume_loss=[0.1]", "did you mean 'volume_lost'"),
-    ("soil.cone_index=1 MPa and soil.adjust=density ratio", "both the cone index and the compaction decide"),
-]
-
-
-@pytest.mark.parametrize(("change", "words"), WRONG_TESTS)
+@pytest.mark.parametrize(("change", "words"), refused_files()["compaction"])
 def test_compression_tests_that_contradict_the_file_are_refused(refusal, change, words):
     said = refusal(TESTED, *change.split(" and "))
     assert words in said

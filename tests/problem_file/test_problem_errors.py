@@ -4,106 +4,33 @@ import re
 
 import pytest
 from helpers.commands import call
-from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed
+from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed, refused_files
 
 import plough_opt as po
 from plough_opt.problem_file.sweep import ProblemSweep
 
 SOIL = 'name = "serozem"'
-ACCURACY = "[variables]"
 SPEED = '"7.2 km/h"'
 WAVE = 'strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }'
 
-# What stands in the file, what is put there, a fragment of the line to blame, and pieces of the message.
-MISSPELT = [
-    ('guess = "25', 'gues = "25', "gues =", "'variables.share.wedge_angle.gues'", "mean 'guess'?"),
-    ('"share.height" ', '"share.hight" ', "hight", "'share.hight' cannot be a variable", "'share.height'"),
-    ("loosened_radius", "losened", "losened", "'losened' cannot be required", "loosened_radius"),
-    ('"serozem" ', '"serozom" ', "serozom", "no soil is named 'serozom'", "mean 'serozem'?"),
-    ("damping =", 'formulation = "prnt"\ndamping =', "prnt", "'effects.formulation'", "mean 'printed'?"),
-    # What is misspelt and required is one mistake, not two.
-    ("[scene]", "[scen]", "[scen]", "did you mean 'scene'"),
-]
-QUANTITIES = [
-    (SPEED, '"7.2 kg"', "7.2 kg", "'scene.tow_speed' = \"7.2 kg\" has the wrong unit", "quantity in m/s"),
-    (SPEED, "[\n  7.2,\n\n  8.2,\n]", "tow_speed", "'scene.tow_speed' is not a quantity", SPEED),
+WRONG = refused_files()
+# Besides what is in refused.toml: long or deep, and with characters that cannot be printed.
+MISTAKES = [
+    *WRONG["mistakes"],
+    *(("[variables]", f"[trade_off]\n{table}\n[variables]", *pieces) for table, *pieces in WRONG["traded"]),
     ("amplitude = 0.3", f"amplitude = 1{'0' * 400}", "amplitude", "larger than any number"),
-    ('"5 deg"', '"5 m"', '"5 m"', "'share.wedge_angle' lower = \"5 m\"", "quantity in rad"),
-    ('"15 deg" }', '"15 m" }', "half_angle", "'half_angle' at_most = \"15 m\"", "quantity in rad"),
-]
-CONTRADICTIONS = [
-    ('"5 deg"', '"60 deg"', "25 deg", "'share.wedge_angle' contradict each other", "60 deg is not below upper 60 deg"),
-    ("{ at_most = \"15", "{ at_least = '20 deg', at_most = \"15", "20 deg",
-     "limits of 'half_angle' contradict", "at least 20 deg is above at most 15 deg"),
-    ('"25 deg"', '"65 deg"', "65 deg", "guess 65 deg of 'share.wedge_angle'", "bounds 5 deg to 60 deg"),
-    ('"10 kN/m"', '"0 kN/m"', "log = true", "'scene.stiffness'", "bound above 0, not 0 kN/m"),
-    ('at_most = "15 deg"', "", "half_angle", "'half_angle' has no limit: give at_least, at_most"),
-    ('mean_draft = { per = "1', 'mean_draft = { per = "0', "mean_draft = {", "'mean_draft' per = 0 kN must be above 0"),
-    ("[scene]", "height = '20 cm'\n[scene]", '"share.height"', "'share.height' is a variable and also has a fixed"),
-    ("force_rms  =", "deflection =", "deflection = { per", "'deflection' cannot be minimised", "'mean_deflection'"),
-    ("[effects]", "[effects]\nmotion = false", "motion =", "damping needs motion", "so omit it"),
-]  # fmt: skip
-MISSING = [
-    (f"tow_speed = {SPEED}\n", "", "[scene]", "'tow_speed' is missing: give it in [scene]",
-     "make 'scene.tow_speed' a variable"),
-    (SOIL, 'density = "1 t/m^3"', "[soil]", "'density_ratio', ", "are missing", "the 'name' of a known soil"),
-    ('lower = "5 deg", ', "", "wedge_angle", "'variables.share.wedge_angle.lower' is missing"),
-    (', wavelength = "0.2 m"', "", "strength_wave", "'wavelength' is missing: give it in [effects.strength_wave]"),
-    (f"{WAVE}\ndamping = \"400 N*s/m\"\n\n[variables]",
-     "[variables]\n'effects.strength_wave.wavelength' = { lower = '0.1 m', upper = '0.3 m' }",
-     "wavelength", "belongs to effects.strength_wave"),
-]  # fmt: skip
-DOMAIN = [
-    (SOIL, f"{SOIL}\ncohesion = '-2 kPa'", "-2 kPa", "'soil.cohesion' = -2 kPa: ", "at least 0"),
-    ('"60 deg"', '"95 deg"', "95 deg", "'share.wedge_angle' upper = 95 deg: ", "wedge angle", "below"),
-    ('"20 kg"', '"-20 kg"', "-20 kg", "'scene.frame_mass' = -20 kg: ", "mass", "at least 0"),
-    (ACCURACY, f"[accuracy]\nmethod = 'cvode'\n{ACCURACY}", "cvode", "is named 'cvode': did you mean 'cvodes'?"),
-    (ACCURACY, f"[accuracy]\nerror = 2.0\n{ACCURACY}", "error", "error = 2 must lie between 1e-12 and 0.1"),
-]
-NOT_TOML = [
-    (old, new, fragment, ": not valid TOML: ")
-    for old, new, fragment in (
-        (SPEED, "7.2 km/h", "7.2 km/h"),
-        ('"20 kg"', '"20 kg"\nframe_mass = "2 kg"', '"2 kg"'),
-        ("[effects]", "[effects]\n[share] # again", "again"),
-    )
-]
-LIMITS = [
     ("[scene]", f"[scene]\nx = {'[' * 400}{']' * 400}", "x = ", "more than 8 deep"),
     ("[scene]", f"[scene]\n{'.'.join('a' * 400)} = 1", "a.a", "more than 8 deep"),
     ("[scene]", f"[scene]\nx = {'1' * 5000}", "x = ", "5004 characters; at most 1000"),
     ("[scene]", '[scene]\nx = "\\u001b[31m"', "x = ", "'scene.x' holds U+001B, a character that cannot be printed"),
 ]
-TRADED = [
-    (ACCURACY, f"[trade_off]\n{table}\n{ACCURACY}", *pieces)
-    for table, *pieces in (
-        ("mean_draft = {}\nlosened_radius = {}", "losened", "'losened_radius' cannot be traded: did you mean"),
-        ("mean_draft = {}", "[trade_off]", "a front needs two or three results, not 1: give [trade_off]"),
-        ("mean_draft = {}\nforce_rms = {}\ntow_power = {}\nhalf_angle = {}", "[trade_off]", "not 4: put the others"),
-        ("mean_draft = 3\nforce_rms = {}", "mean_draft = 3", "'trade_off.mean_draft' = 3 must be {} or { maximise"),
-        ("mean_draft = { maximize = true }\nforce_rms = {}", "maximize", "not a known key: did you mean 'maximise'?"),
-        ('mean_draft = { maximise = "yes" }\nforce_rms = {}', "yes", "'trade_off.mean_draft.maximise' = 'yes' must be"),
-        ("mean_draft = {}\nforce_rms = {}\npoints = 2", "points", "'trade_off.points' = 2 must be at least 5"),
-        (
-            "mean_draft = {}\nforce_rms = {}\npoint = 9",
-            "point =",
-            "or { maximise = true }; the key of a number is 'points'",
-        ),
-    )
-]
-# In the words of the file, and not of Python.
-TABLES = [
-    (f"[soil]\n{SOIL}", 'soil = "serozem"', "soil = ", "'soil' must be a table of keys"),
-    ('{ per = "1 kN" }     #', '"1 kN" #', "mean_draft", "'minimise.mean_draft' must be a table of keys"),
-]
 
 
 @pytest.mark.parametrize(
     ("old", "new", "fragment", "pieces"),
-    [(old, new, fragment, pieces) for old, new, fragment, *pieces in
-     (*MISSPELT, *QUANTITIES, *CONTRADICTIONS, *MISSING, *DOMAIN, *NOT_TOML, *LIMITS, *TRADED, *TABLES)],
+    [(old, new, fragment, pieces) for old, new, fragment, *pieces in MISTAKES],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
-)  # fmt: skip
+)
 def test_what_is_wrong_is_refused_at_its_line_with_what_was_expected(blames, old, new, fragment, pieces):
     blames(changed((old, new)), fragment, *pieces)
 

@@ -12,7 +12,7 @@ import jsonschema
 import numpy as np
 import pytest
 from helpers.commands import call, cells, printed
-from helpers.problem_files import COTTON, PROBLEMS, STATIC, changed
+from helpers.problem_files import COTTON, PROBLEMS, STATIC, changed, refused_files
 
 import plough_opt as po
 from plough_opt.motion.vocabulary import MEASURES
@@ -133,20 +133,7 @@ def test_a_tow_speed_over_time_is_that_of_simulate(read):
     jsonschema.validate(tomllib.loads(text), file_schema())
 
 
-WRONG_COURSES = [
-    ("{}", "must be a speed, or a table like { time"),
-    ('{ time = ["0 s"], speed = ["1 m/s"] }', "must be a speed, or a table like"),
-    ('{ time = ["0 s", "1 s"], speed = ["1 m/s"], at = 1 }', "must be a speed"),
-    ('{ time = ["0 s", "1 s"], speed = ["1 m/s", "2 m/s", "1 m/s"] }', "has 2 times and 3 speeds"),
-    ('{ time = ["0 s", "1 s"], speed = ["1 m", "2 m/s"] }', "wrong unit"),
-    ('{ time = ["1 s", "0 s"], speed = ["1 m/s", "2 m/s"] }', "must rise from 0"),
-    ('{ time = ["0 s", "1 s"], speed = ["1 m/s", "-1 m/s"] }', "at least 0"),
-    ('{ time = ["0 s", "1 s"], speed = ["0 m/s", "0 m/s"] }\naverage = "whole waves"', "must be above 0"),
-    (f'{COURSE}\naverage = "whole waves"', "needs a constant speed"),
-]
-
-
-@pytest.mark.parametrize(("course", "words"), WRONG_COURSES)
+@pytest.mark.parametrize(("course", "words"), refused_files()["courses"])
 def test_a_wrong_course_of_the_tow_speed_is_refused_with_its_line(blames, course, words):
     blames(changed(('"7.2 km/h"', course)), "tow_speed", "scene.tow_speed", words)
 
@@ -610,19 +597,7 @@ def test_a_catalogue_in_which_nothing_will_do_leaves_the_best_with_a_warning(tmp
     assert "no variable" in call("export", path, "--to", "stl", "--at", "catalogue", "-o", tmp_path / "a.stl").said
 
 
-WRONG_CATALOGUES = [
-    (', catalogue = ["0.7 m"]', ("catalogue", "between its bounds", "0.1 m to 0.5 m")),
-    (', catalogue = ["200 kg"]', ("catalogue", "wrong unit")),
-    (', catalogue = ["0.2"]', ("catalogue", "no unit")),
-    (", catalogue = []", ("catalogue", "at least 1")),
-    (', catalogue = ["0.2 m"], step = "1 cm"', ("catalogue", "step", "remove one")),
-    (', step = "0 cm"', ("step", "above 0")),
-    (', step = "0.7 m"', ("step", "0.1 m to 0.5 m")),
-    (", step = true", ("step",)),
-]
-
-
-@pytest.mark.parametrize(("more", "pieces"), WRONG_CATALOGUES)
+@pytest.mark.parametrize(("more", "pieces"), [(more, pieces) for more, *pieces in refused_files()["catalogues"]])
 def test_a_wrong_catalogue_is_refused_with_its_line(blames, more, pieces):
     blames(offering(more), "share.height", *pieces)
 

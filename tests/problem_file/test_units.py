@@ -12,7 +12,7 @@ import hypothesis.strategies as st
 import jsonschema
 import pytest
 from helpers.commands import printed
-from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed
+from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed, refused_files
 from helpers.scenes import Shank
 from hypothesis import given, settings
 
@@ -183,27 +183,7 @@ def test_a_variable_given_a_value_is_fixed_with_a_note(read):
     )
 
 
-REFUSED = [
-    ("scene.tow_speed=2.5", "'scene.tow_speed' = 2.5 has no unit", '"7.2 km/h"'),
-    ("scene.tow_sped=2.5 m/s", "'scene.tow_sped' is not a known key", "did you mean 'tow_speed'?"),
-    ("share.height=-0.3 m", "share height = -0.3 m", "above 0"),
-    ("effects.start=rst", "'effects.start' = 'rst' is unknown", "did you mean 'rest'?"),
-    ("effects.motion=no", "'effects.motion' = 'no' must be true or false"),
-    ("scene.outputs=2.5", "'scene.outputs' = 2.5 must be a whole number"),
-    ("title=3", "'title' = 3 must be a text in quotes"),
-    ("scene.outputs=0", "'scene.outputs' = 0 must be at least 1"),
-    ("scene..tow_speed=2 m/s", "'scene..tow_speed' is not a key"),
-    ("accuracy.error='1e-6'", "'accuracy.error' = '1e-6' must be a number"),
-    ("variables.share.hight.upper=0.4 m", "share.hight", "did you mean 'share.height'"),
-    ("require.half_angle.at_least=20 deg", "contradict each other", "at least 20 deg is above at most 15 deg"),
-    ("scen.tow_speed=2 m/s", "no table is named 'scen'", "did you mean 'scene'?"),
-    ("scene.tow_speed.x=3", "'tow_speed' is a value"),
-    ("scene.tow_speed", "expected KEY=VALUE", 'like scene.tow_speed="2.5 m/s"'),
-    ("variables.scene.tow_speed.upper=3 m/s", "'variables.scene.tow_speed.lower' is missing"),
-]
-
-
-@pytest.mark.parametrize(("override", "pieces"), [(t, pieces) for t, *pieces in REFUSED], ids=[t for t, *_ in REFUSED])
+@pytest.mark.parametrize(("override", "pieces"), [(text, pieces) for text, *pieces in refused_files()["changes"]])
 def test_a_change_that_cannot_be_is_blamed_and_not_the_file(refusal, override, pieces):
     message = refusal(COTTON, override)
     assert message.startswith(f"--set {override}: ")

@@ -9,6 +9,7 @@ import pickle
 import shutil
 import sqlite3
 import tempfile
+import tomllib
 import tracemalloc
 from pathlib import Path
 
@@ -266,26 +267,10 @@ def store(inline, tmp_path):
         return functools.partial(change, path), whole.table.tobytes()
 
 
-DAMAGED = {
-    "ALTER TABLE points DROP COLUMN sine": "the columns point, state, reason, a, b, root",
-    "UPDATE meta SET value = '7' WHERE key = 'results'": "results: Input should be a valid",
-    "UPDATE meta SET value = '[\"failed\", \"root\"]' WHERE key = 'results'": "'failed' cannot name a column",
-    "DELETE FROM meta WHERE key = 'units'": "units: Field required",
-    "UPDATE meta SET value = 'x' WHERE key = 'count'": "count: Input should be",
-    "INSERT INTO notes VALUES ('x', 'y', 'z', 1)": "its table of notes",
-    "UPDATE points SET sine = 'much' WHERE point = 4": "its table of points",
-    "UPDATE points SET sine = NULL WHERE point = 4": "its table of points",
-    "UPDATE points SET sine = 1.0 WHERE point = 0": "its table of points",
-    "UPDATE points SET a = x'00' WHERE point = 0": "its table of points",
-    "UPDATE points SET reason = x'00' WHERE point = 0": "its table of points",
-    "UPDATE points SET state = 'done' WHERE point = 0": "its table of points",
-    "UPDATE points SET point = 6 WHERE point = 4": "its table of points",
-    "UPDATE meta SET value = '1' WHERE key = 'layout'": "has layout 1, but this version reads layout 3",
-    "DROP TABLE notes": "is a database, but not the store",
-}
+DAMAGED = tomllib.loads(Path(__file__).with_name("stores.toml").read_text(encoding="utf-8"))["damaged"]
 
 
-@pytest.mark.parametrize(("statement", "words"), DAMAGED.items())
+@pytest.mark.parametrize(("statement", "words"), DAMAGED)
 def test_tables_that_are_not_those_of_a_store_are_refused(store, inline, statement, words):
     path = store[0](statement)
     with pytest.raises(po.InputError, match=words):

@@ -10,10 +10,12 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import tomllib
 import types
 import zipfile
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -291,117 +293,8 @@ def test_invalid_sweeps_of_functions_are_refused(inline, over, options, expected
 
 # --- a store recognises a function by all that its results depend on, and a problem by its files too ---
 
-SCRIPT = """
-import functools, math
-import numpy as np
-import casadi as ca
-from dataclasses import dataclass
-
-FACTOR = 2.0
-def helper(a):
-    return FACTOR * a
-
-@functools.lru_cache
-def kept(a):
-    return a + 1.0
-
-class Base:
-    offset = 3.0
-
-@dataclass
-class Law(Base):
-    gain: float = 5.0
-    def of(self, a):
-        return self.gain * a + self.offset
-    def __call__(self, values):
-        return {"x": self.of(values["a"])}
-
-def outer(k):
-    def inner(values, *, more=7.0):
-        return {"x": k * values["a"] + more}
-    return inner
-
-def plain(values):
-    # a comment
-    return {"x": helper(values["a"]) + kept(1.0) + sum(b for b in (11.0, 13.0))}
-
-TABLE = np.array([17.0, 19.0])
-X = ca.SX.sym("x")
-GRAPH = ca.Function("graph", [X], [ca.sin(23.0 * X)])
-def looked_up(values):
-    return {"x": TABLE[0] + float(GRAPH(values["a"]))}
-
-def base(k, values):
-    return {"x": k}
-
-class Scaled:
-    def __init__(self, k):
-        functools.update_wrapper(self, base)
-        self.k = k
-    def __call__(self, values):
-        return {"x": self.k}
-
-def counted(values):
-    return {"x": counted.k}
-counted.k = 59.0
-
-@functools.wraps(np.mean)
-def wrapping(values):
-    return {"x": 61.0}
-
-class Partial:
-    __call__ = functools.partialmethod(base, 67.0)
-
-PAIRS = np.zeros(2, dtype=[("first", "f8"), ("second", "f8")])
-MASKED = np.ma.array([1.0, 2.0], mask=[False, True])
-
-FUNCTIONS = {
-    "wrapped": functools.update_wrapper(functools.partial(base, 71.0), base),
-    "scaled": Scaled(73.0),
-    "counted": counted,
-    "wrapping": wrapping,
-    "partialmethod": Partial(),
-    "pairs": functools.partial(base, PAIRS),
-    "masked": functools.partial(base, MASKED),
-    "plain": plain,
-    "closure": outer(29.0),
-    "partial": functools.partial(lambda values, k: {"x": k + 31.0}, k=37.0),
-    "nested": functools.partial(functools.partial(outer(41.0)), more=43.0),
-    "object": Law(),
-    "method": Law().of,
-    "table": looked_up,
-    "lambda": lambda values: {"x": Law(47.0).of(1.0)},
-}
-"""
-# Text of the script, its replacement, and the functions whose results change with it.
-CHANGES = [
-    ("FACTOR = 2.0", "FACTOR = 3.0", {"plain"}),
-    ("return FACTOR * a", "return FACTOR + a", {"plain"}),
-    ("a + 1.0", "a - 1.0", {"plain"}),
-    ("11.0, 13.0", "13.0, 11.0", {"plain"}),
-    ("offset = 3.0", "offset = 4.0", {"object", "method", "lambda"}),
-    ("gain: float = 5.0", "gain: float = 6.0", {"object", "method", "lambda"}),
-    ("self.gain * a", "self.gain / a", {"object", "method", "lambda"}),
-    ("more=7.0", "more=8.0", {"closure", "nested"}),
-    ("k * values", "k + values", {"closure", "nested"}),
-    ("outer(29.0)", "outer(30.0)", {"closure"}),
-    ("k + 31.0", "k + 32.0", {"partial"}),
-    ("k=37.0", "k=38.0", {"partial"}),
-    ("outer(41.0)", "outer(42.0)", {"nested"}),
-    ("more=43.0", "more=44.0", {"nested"}),
-    ("17.0, 19.0", "17.0, 20.0", {"table"}),
-    ("23.0 * X", "24.0 * X", {"table"}),
-    ("Law(47.0)", "Law(48.0)", {"lambda"}),
-    ("base, 71.0", "base, 72.0", {"wrapped"}),
-    ("Scaled(73.0)", "Scaled(74.0)", {"scaled"}),
-    ("counted.k = 59.0", "counted.k = 60.0", {"counted"}),
-    ('"x": 61.0', '"x": 62.0', {"wrapping"}),
-    ("base, 67.0", "base, 68.0", {"partialmethod"}),
-    ('("first", "f8"), ("second", "f8")', '("second", "f8"), ("first", "f8")', {"pairs"}),
-    ("mask=[False, True]", "mask=[False, False]", {"masked"}),
-    ("# a comment", "# two\n    # comments", set()),
-    ("import functools, math", "import math\n\n\nimport functools", set()),
-]
+STORES = tomllib.loads(Path(__file__).with_name("stores.toml").read_text(encoding="utf-8"))
+SCRIPT = STORES["script"]
 
 
 @pytest.fixture
@@ -415,14 +308,14 @@ def functions_of(monkeypatch):
     return read
 
 
-@pytest.mark.parametrize(("text", "other", "changed"), CHANGES)
+@pytest.mark.parametrize(("text", "other", "changed"), STORES["changes"])
 def test_what_changes_results_changes_the_digest(functions_of, text, other, changed):
     assert text in SCRIPT
     before, after = (
         {name: digest_of(one) for name, one in functions_of(script).items()}
         for script in (SCRIPT, SCRIPT.replace(text, other))
     )
-    assert {name for name in before if before[name] != after[name]} == changed
+    assert {name for name in before if before[name] != after[name]} == {*changed}
 
 
 def test_the_digest_is_the_same_in_another_process(functions_of, tmp_path):

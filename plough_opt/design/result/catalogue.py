@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plough_opt.core.checks import array_of, shown
-from plough_opt.core.errors import InfeasibleDesign, InputError, nearest
+from plough_opt.core.errors import InfeasibleDesign, InputError, listed, nearest
 from plough_opt.core.units import has_unit, in_si, in_words
 from plough_opt.design.confirmation import Judge, ranking_criterion, spread
 from plough_opt.design.declarations import Variable
@@ -82,7 +82,13 @@ class Promising:
 
 
 def promising(
-    landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector, kept: list[int], seed: int = 0
+    landscape: Landscape,
+    optimum: Vector,
+    fixed: list[int],
+    combinations: Vector,
+    kept: list[int],
+    seed: int,
+    limit: TimeLimit,
 ) -> list[Promising]:
     """Return the combinations that can be best, lowest merit first and infeasible ones last.
 
@@ -96,6 +102,7 @@ def promising(
         combinations: scaled values of these variables, a row for each combination.
         kept: rows that are never dropped, such as the optimum's neighbours.
         seed: of the samples.
+        limit: of the processor time; once it is over, the other combinations keep their lowest designs so far.
     """
     screen = _Screen(landscape, optimum, fixed, combinations, seed)
     if not screen.free:
@@ -105,12 +112,20 @@ def promising(
     numbers, samples = screen.sampled(kept)
     descents = max(2, min(_MOST_DESCENTS_EACH, _DESCENTS // len(numbers)))
     sample_by_number = dict(zip(numbers.tolist(), samples, strict=True))
-    found = _ordered([screen.descended(k, own, descents) for k, own in sample_by_number.items()])
+    found: list[Promising] = []
+    for number, own in sample_by_number.items():
+        late = found and limit.passed("descents in some combinations")
+        lowest = Promising(number, own.select([int(np.argmin(own.merit))])) if late else None
+        found.append(lowest or screen.descended(number, own, descents))
+    found = _ordered(found)
     if len(screen.free) == 1:
         return found
     # With several free variables a sample may miss the best basin of a combination that can win.
-    limit = found[0].merit + CAN_WIN * abs(found[0].merit)
-    last = [screen.evolved(one, sample_by_number[one.number]) for one in found[:_EVOLVED] if one.merit <= limit]
+    highest, last = found[0].merit + CAN_WIN * abs(found[0].merit), list[Promising]()
+    for one in found[:_EVOLVED]:
+        if one.merit > highest or limit.passed("evolution of some combinations"):
+            break
+        last.append(screen.evolved(one, sample_by_number[one.number]))
     return _ordered([*last, *found[len(last) :]])
 
 
@@ -399,13 +414,13 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     count = math.prod(own.count for own in offered)
     few = count < _MOST_SCREENED and count * solved.program.population.runs < _MOST_RUNS_SCREENED
     every = landscape.vectorised and few
-    starts = _starts(landscape, solved, offered, seed, every)
+    limit = TimeLimit("auto")
+    starts = _starts(landscape, solved, offered, seed, limit if every else None)
     program = solved.program.with_steps(p, starts=[start for start, _ in starts])
     reached: list[tuple[Choice, Point, Combination]] = []
     failed: list[Choice] = []
-    limit, late = TimeLimit("auto"), f"after {AUTO_SECONDS:g} s of processor time"
     for number, (start, values) in enumerate(starts):
-        if reached and limit.passed(f"{len(starts) - number} of the {len(starts)} most promising combinations"):
+        if reached and limit.passed(f"optima of {len(starts) - number} of the {len(starts)} most promising ones"):
             break
         names = {own.variable.name: value for own, value in zip(offered, values, strict=True)}
         point, conflicts = _solved(program, p, start, fixed)
@@ -431,7 +446,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
         over=program.over,
         status="unconfirmed" if point.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
-        warnings=(*(f"{late} {rest} were not optimised: offer fewer values" for rest in limit.left_out), *warnings),
+        warnings=(*_left_out(limit), *warnings),
         solved=Solved(program, p, point, dict(zip(fixed, values, strict=True))),
         fixed=tuple(choice.values),
         unrounded=unrounded,
@@ -445,8 +460,16 @@ Combination = tuple[float, ...]
 """One value from each catalogue."""
 
 
+def _left_out(limit: TimeLimit) -> tuple[str, ...]:
+    """Return a sentence on what was left out once the time was over, if anything was."""
+    if not limit.left_out:
+        return ()
+    after, rest = f"after {AUTO_SECONDS:g} s of processor time", listed([*limit.left_out])
+    return (f"{after} {rest} were left out: there may be a better combination; offer fewer values",)
+
+
 def _starts(
-    landscape: Landscape, solved: Solved, offered: Sequence[Allowed], seed: int, every: bool
+    landscape: Landscape, solved: Solved, offered: Sequence[Allowed], seed: int, limit: TimeLimit | None
 ) -> list[tuple[Vector, Combination]]:
     """Return the designs to optimise with their combinations: those that can be best, or the optimum's neighbours.
 
@@ -455,19 +478,19 @@ def _starts(
         solved: the optimum.
         offered: the values that the rounded variables may take.
         seed: seed of the samples.
-        every: whether to screen all combinations, or to return only the optimum's neighbours.
+        limit: of the processor time to screen all combinations; None to return only the optimum's neighbours.
     """
     neighbours = [own.neighbours(float(solved.values[own.number])) for own in offered]
     near = math.prod(map(len, neighbours))
-    if not every and near > _MOST_NEIGHBOURS:
+    if limit is None and near > _MOST_NEIGHBOURS:
         raise InputError(f"{len(neighbours)} variables have too many combinations of neighbours: round fewer at a time")
-    combinations = list(itertools.product(*([own.values() for own in offered] if every else neighbours)))
+    combinations = list(itertools.product(*([own.values() for own in offered] if limit else neighbours)))
     scaled = [[own.variable.scaled(x) for own, x in zip(offered, values, strict=True)] for values in combinations]
     fixed = [own.number for own in offered]
-    if every:
+    if limit:
         always = set(itertools.product(*neighbours)) if near <= _MOST_OPTIMISED else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
-        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept, seed)[:_MOST_OPTIMISED]
+        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept, seed, limit)[:_MOST_OPTIMISED]
         return [(one.start.points[0], combinations[one.number]) for one in found]
     designs = np.repeat(solved.point.y[None], len(combinations), axis=0)
     designs[:, fixed] = scaled

@@ -100,12 +100,6 @@ def answer(report: Report) -> str:
     return f"{found} From the catalogue: {', '.join(made)} (objective {best.bought.cost_in_words})."
 
 
-def cards(report: Report) -> list[tuple[str, str]]:
-    """Return (name, text) of the main results, which the page shows first."""
-    names = ("mean draft", "RMS of the mount force", "tow power", "mean deflection", "loosened radius")
-    return [(name, report.results[name]) for name in names if name in report.results]
-
-
 def question(report: Report) -> list[str]:
     """Return the design question, one text for each paragraph."""
     problem, table = report.problem, report.problem.table
@@ -131,46 +125,10 @@ def limits_of(problem: Problem, name: str) -> str:
     return "domain of the theory" if own is None else ", ".join(map(nice, own.words.split(", ")))
 
 
-def variables(report: Report) -> list[dict[str, str | float | bool]]:
-    """Return name, value, bounds and position between the bounds (0 to 1) of each variable of an optimum."""
-    assert report.best is not None  # the page asks only then
-    bounds = {limit.name: limit for limit in report.best.limits if limit.kind == "bound"}
-    return [
-        {
-            "name": called(key),
-            "value": nice(v.display.result(bounds[key].rounded)),
-            "lower": nice(v.display.text(v.lower)),
-            "upper": nice(v.display.text(v.upper)),
-            "place": _place(bounds[key].rounded, v.lower, v.upper, v.log),
-            "active": bounds[key].active,
-        }
-        for key, v in report.problem.variables.items()
-    ]
-
-
-def requirements(report: Report) -> list[dict[str, str | float | bool]]:
-    """Return name, limits, value and margin of each requirement; the margin also as a fraction of the limit.
-
-    The report must be about an optimum.
-    """
-    assert report.best is not None  # the page asks only then
-    shown = (limit for limit in report.best.limits if limit.kind == "requirement" and not limit.trivial)
-    return [_requirement(report, limit) for limit in shown]
-
-
-def _requirement(report: Report, limit: Limit) -> dict[str, str | float | bool]:
+def margin_of(limit: Limit) -> tuple[float, float]:
+    """Return the margin of a requirement without its rounding, and as a part of the limit."""
     margin = 0.0 if limit.active or abs(limit.margin) < _ROUNDING else limit.margin
-    size = max(abs(limit.value), abs(limit.value + margin), _ROUNDING)
-    return {
-        "name": called(limit.name),
-        "limits": limits_of(report.problem, limit.name),
-        "value": report.shown(limit.name, limit.rounded, limit.unit),
-        "margin": report.shown(limit.name, margin, limit.unit, 3),
-        "part": min(1.0, max(0.0, margin / size)),
-        "percent": f"{100.0 * margin / size:.3g} %",
-        "active": limit.active,
-        "met": margin >= 0.0,
-    }
+    return margin, margin / max(abs(limit.value), abs(limit.value + margin), _ROUNDING)
 
 
 def response(report: Report) -> Grid:
@@ -283,28 +241,18 @@ def soil(report: Report) -> Grid:
     return Grid.pairs(own.name, *rows)
 
 
-def sensitivities(report: Report) -> list[dict[str, str | float]]:
-    """Return the changes for one per cent more of each quantity or limit, the largest first."""
-    found = [one for one in report.sensitivities if one.elasticity is not None and abs(one.elasticity) > _ROUNDING]
-    largest = max((abs(one.elasticity or 0.0) for one in found), default=1.0)
-    return [
-        {
-            "name": called(one.name),
-            "value": report.shown(one.name.partition(" ")[0], one.value, one.unit),
-            "percent": f"{one.elasticity:+.3g}\u00a0%",
-            "part": (one.elasticity or 0.0) / largest,
-            "moves": ", ".join(_moves(one)) or "nothing",
-        }
-        for one in found
-    ]
+def sensitivities(report: Report) -> list[Sensitivity]:
+    """Return the sensitivities to each quantity or limit that changes the objective, the largest first."""
+    return [one for one in report.sensitivities if one.elasticity is not None and abs(one.elasticity) > _ROUNDING]
 
 
-def _moves(one: Sensitivity) -> list[str]:
-    return [
+def moves(one: Sensitivity) -> str:
+    """Return in words what one per cent more does to the variables."""
+    return ", ".join(
         f"{called(name)} {elasticity:+.2g}\u00a0%"
         for name, elasticity in one.elasticities.items()
         if elasticity is not None and abs(elasticity) > _ROUNDING
-    ]
+    )
 
 
 def accuracy(report: Report) -> Grid:
@@ -322,28 +270,6 @@ def accuracy(report: Report) -> Grid:
             ("time of the search and the solve", f"{best.seconds:.2g} s"),
         ]
     return Grid.pairs("Errors and computing times", *rows)
-
-
-def precision(report: Report) -> str:
-    """Return a sentence on the numerical accuracy of the results."""
-    error = max(report.run.error_estimate, report.best.gap if report.best is not None else 0.0)
-    return f"The equations are solved to a relative error of about {error:.0e}: the numbers are as good as the model."
-
-
-def trust(report: Report) -> str:
-    """Return how far the model can be trusted, as measured in docs/explanation/validation.md."""
-    scene = report.run.scene
-    if scene.law.lacks("cone_index"):
-        return "This law of resistance is of another author; docs/explanation/crosscheck.md compares it."
-    measured = float(scene.soil.strength_factor) != 1.0 or report.problem.readings
-    level = "follows from a penetrometer's reading" if measured else "must be measured: give a cone index in [soil]"
-    return (
-        "Against pulls through bonded particles its ratios of draft over size, half angle (up to 20°), speed and"
-        f" pressure hold within 25 %, and its level, low by a factor of up to 3.3 there, {level}. A blunt share saves"
-        " no friction there, a soft mount does not isolate, and displaced soil has no front; in soil, draft grows more"
-        " with speed. Nothing has been validated in a field, and the model ignores working depth, the free surface, the"
-        " shank and moisture."
-    )
 
 
 def notes(report: Report) -> list[str]:
@@ -367,7 +293,7 @@ def searched(report: Report) -> str:
     return text
 
 
-def _place(value: float, lower: float, upper: float, log: bool) -> float:
+def place(value: float, lower: float, upper: float, log: bool) -> float:
     """Return the position of a value between bounds, from 0 to 1."""
     if log:
         value, lower, upper = math.log(value), math.log(lower), math.log(upper)
@@ -493,12 +419,12 @@ def _short(values: Iterable[float]) -> list[float]:
     return [float(f"{value:.{_DIGITS}g}") for value in np.asarray(values, dtype=float).ravel()]
 
 
-# Name in the template -> function of the report.
+# Name in the template -> function.
 _CONTENT: Final = {
     part.__name__: part
     for part in (
-        answer, cards, question, variables, requirements, response, share, bought, optima, searched, scene, soil,
-        sensitivities, accuracy, precision, trust, notes, traded,
+        accuracy, answer, bought, called, limits_of, margin_of, moves, nice, notes, optima, place, question, response,
+        scene, searched, sensitivities, share, soil, traded,
     )
 }  # fmt: skip
 

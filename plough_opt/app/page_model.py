@@ -15,7 +15,7 @@ import numpy as np
 
 from plough_opt.core.checks import LARGEST, DomainLimit, limits_of_laws, unlabelled
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, stacked
+from plough_opt.core.expressions import Expression, gauss_legendre, stacked
 from plough_opt.core.quantities import EVERY, Quantity, wave_table
 from plough_opt.core.units import Display, customary
 from plough_opt.design import Design
@@ -142,7 +142,10 @@ def page_model(problem: Problem) -> PageModel:
         "requirements": _requirements(problem),
         "outputs": problem.table.scene.outputs,
         "error": problem.accuracy.error or DEFAULT_ERROR,
-        "gauss": [_gauss(points) for points in (GAUSS_POINTS, GAUSS_POINTS + MORE_POINTS)],
+        "gauss": [
+            dict(zip(("nodes", "weights"), gauss_legendre(points), strict=True))
+            for points in (GAUSS_POINTS, GAUSS_POINTS + MORE_POINTS)
+        ],
         "switches": [{"label": one.label, "on": one.on, "settings": one.settings} for one in switched],
         "variants": {
             key: variant.data | {"place": k * len(variant.prepared)}
@@ -446,9 +449,3 @@ def _requirements(problem: Problem) -> list[dict[str, Any]]:
         found.append({**_result(problem, name, every[name].unit.symbol), "low": low, "high": high,
                       "everywhere": everywhere, "words": table.words})  # fmt: skip
     return found
-
-
-def _gauss(points: int) -> Mapping[str, list[float]]:
-    """Return nodes and weights of a quadrature from 0 to 1."""
-    nodes, weights = np.polynomial.legendre.leggauss(points)
-    return {"nodes": ((nodes + 1.0) / 2.0).tolist(), "weights": (weights / 2.0).tolist()}

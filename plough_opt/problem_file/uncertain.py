@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from plough_opt.problem_file.problem import Problem
     from plough_opt.studies.uncertainty import Robust, SoilDistribution
     from plough_opt.studies.uncertainty.result import RobustOptimum
-    from plough_opt.studies.uncertainty.robust import Spreads, Tail
+    from plough_opt.studies.uncertainty.robust import Spreads
 
 # Distributions and designs need scipy.stats, which is slow to import; a file is read and checked without them.
 
@@ -47,6 +47,8 @@ _MEASURE = re.compile(
     rf"|mean\s*(?P<sign>[+-])\s*(?P<factor>{_NUMBER})\s*std"
 )
 _MEASURE_EXAMPLES = '"expected", "mean + 2 std", "cvar 0.9", "worst" or "nominal"'
+# Measures of one tail, which are not smooth.
+_TAILS = ("cvar", "worst")
 # Smoothing width of nonsmooth measures, in standard deviations of the result over the samples.
 _SMOOTHING_WIDTH = 0.5
 # A smaller relative spread is rounding, and the result does not depend on the soil.
@@ -74,18 +76,11 @@ class UncertainTable:
     seed: int = 1
 
 
-MeasureKind: TypeAlias = Literal["nominal", "expected", "worst", "cvar", "mean_plus"]
+Measured: TypeAlias = tuple[str, tuple[float, ...]]
+"""The measure of a term or requirement: its name, and the level of a cvar or the factor of a mean_plus."""
 
 
-@dataclass(frozen=True)
-class ChosenMeasure:
-    """The measure of a term or requirement: its kind, and the level of a cvar or the factor of a mean_plus."""
-
-    kind: MeasureKind
-    number: float = 0.0
-
-
-def measure_of(text: str) -> ChosenMeasure:
+def measure_of(text: str) -> Measured:
     """Return the measure that a text describes.
 
     Raises:
@@ -94,14 +89,11 @@ def measure_of(text: str) -> ChosenMeasure:
     match = _MEASURE.fullmatch(text.strip())
     if match is None:
         raise InputError(f'"{text}" is not a measure: use {_MEASURE_EXAMPLES}')
-    if match["level"] is not None:
-        level = float(match["level"])
-        if not 0.0 < level < 1.0:
-            raise InputError(f'"{text}": the level of a cvar must lie between 0 and 1; 0.9 means the worst tenth')
-        return ChosenMeasure("cvar", level)
-    if match["factor"] is not None:
-        return ChosenMeasure("mean_plus", float(match["sign"] + match["factor"]))
-    return ChosenMeasure(cast(MeasureKind, match["plain"]))
+    if match["level"] and not 0.0 < float(match["level"]) < 1.0:
+        raise InputError(f'"{text}": the level of a cvar must lie between 0 and 1; 0.9 means the worst tenth')
+    if match["factor"]:
+        return "mean_plus", (float(match["sign"] + match["factor"]),)
+    return ("cvar", (float(match["level"]),)) if match["level"] else (match["plain"], ())
 
 
 def uncertain_of(table: Mapping[str, Any]) -> UncertainTable:
@@ -309,7 +301,7 @@ def _check_measures(source: Source, table: ProblemTable) -> None:
                         raise source.error(place, f"'{name}' width = {entry.width} must be above 0")
 
 
-def _check_limit(limit: LimitTable, name: str, chosen: ChosenMeasure | None, everywhere: bool) -> None:
+def _check_limit(limit: LimitTable, name: str, chosen: Measured | None, everywhere: bool) -> None:
     if everywhere and limit.measure != "nominal":
         raise InputError(f"'{name}' has a value at every output time: limit its mean, or set measure = \"nominal\"")
     if limit.probability is not None and chosen is not None:
@@ -317,7 +309,7 @@ def _check_limit(limit: LimitTable, name: str, chosen: ChosenMeasure | None, eve
     if limit.probability is not None and not 0.0 < limit.probability < 1.0:
         between = "must lie between 0 and 1; remove it to require every sample"
         raise InputError(f"'{name}': the probability {limit.probability:g} {between}")
-    one_tail = limit.probability is not None or (chosen is not None and chosen.kind in ("cvar", "worst"))
+    one_tail = limit.probability is not None or (chosen is not None and chosen[0] in _TAILS)
     if one_tail and len(limit.sides) == 2:
         raise InputError(f"'{name}': a probability, cvar or worst value applies to one limit: give at_least or at_most")
 
@@ -435,7 +427,7 @@ class _RobustDesign:
         self._design, self._run = design, run_in(None)
         self._robust = Robust(self._field, response, samples=self._samples, seed=self._table.seed)
 
-    def _measure(self, name: str, chosen: ChosenMeasure, written: object, low_is_bad: bool = False) -> Expression:
+    def _measure(self, name: str, chosen: Measured, written: object, low_is_bad: bool = False) -> Expression:
         """Return a measure of a result, of its lower tail if small values are bad.
 
         Args:
@@ -444,17 +436,14 @@ class _RobustDesign:
             written: smoothing width as the file writes it, or None.
             low_is_bad: whether small values are bad.
         """
-        if chosen.kind == "nominal" or not self._spreads.get(name):
+        measure, numbers = chosen
+        if measure == "nominal" or not self._spreads.get(name):
             return self._measures[name].of(self._run)
-        if chosen.kind == "expected":
-            return self._robust.expected(name)
-        if chosen.kind == "mean_plus":
-            return self._robust.mean_plus(name, chosen.number)
-        width = self._width(name, written)
-        tail: Tail = "lower" if low_is_bad else "upper"
-        if chosen.kind == "cvar":
-            return self._robust.cvar(name, chosen.number, width=width, tail=tail)
-        return self._robust.worst(name, width=width, tail=tail)
+        smoothed: dict[str, Any] = {}
+        if measure in _TAILS:
+            smoothed = {"width": self._width(name, written), "tail": "lower" if low_is_bad else "upper"}
+        value: Expression = getattr(self._robust, measure)(name, *numbers, **smoothed)
+        return value
 
     def _width(self, name: str, written: object) -> Expression:
         """Return the smoothing width of a result in SI: the file's, or one that follows from its spread."""

@@ -6,6 +6,7 @@ OpenMDAO is imported on first use.
 import sys
 from typing import TYPE_CHECKING, Any
 
+from plough_opt.core.errors import InputError
 from plough_opt.core.process import readable
 from plough_opt.exchange.export.c import write_c, write_casadi
 from plough_opt.exchange.export.fmu import write_fmu
@@ -26,12 +27,18 @@ __all__ = [
 ]
 
 
+class _NotInstalled(InputError, AttributeError):
+    """A name of this module needs a library that is not installed; for `hasattr` there is no such name."""
+
+
 def __getattr__(name: str) -> Any:
     """Return a name that needs OpenMDAO, imported on first use."""
     if name not in __all__:
         raise AttributeError(f"module 'plough_opt.export' has no attribute '{name}'")
-    from plough_opt.exchange.export import openmdao
-
+    try:
+        from plough_opt.exchange.export import openmdao
+    except InputError as missing:
+        raise _NotInstalled(str(missing)) from None
     return getattr(openmdao, name)
 
 

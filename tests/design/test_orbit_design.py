@@ -16,7 +16,6 @@ import plough_opt as po
 from plough_opt.core.expressions import exp
 from plough_opt.design.model.program import Program
 from plough_opt.motion import compiled_steps
-from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.soil import elastic
 
 # --- designs of periodic orbits and their approximations, against brute force over the stiffness ---
@@ -133,6 +132,10 @@ def test_thousands_of_orbits_under_two_waves_are_tried(r1_scene, name):
     best = d.solve()
     assert best.search.designs > 500
     assert not best.search.one_by_one
+    # Of the sampled designs' orbits the search takes few steps.
+    some = best.search.values[:: len(best.search.values) // 5, 0]
+    tried = [objective(run_at(float(k))) for k in some]
+    assert best.search.objective[:: len(best.search.values) // 5] == pytest.approx(tried, rel=1e-4)
     grid = [objective(run_at(float(k))) for k in np.geomspace(LOWER, UPPER, 40)]
     assert best.objective <= min(grid) * (1.0 + 1e-8)
     assert best.objective == pytest.approx(objective(run_at(best.variables["stiffness"])), rel=1e-8)
@@ -297,28 +300,10 @@ def test_a_design_is_interpreted_without_a_compiler(small, cache, monkeypatch):
     assert "no C compiler was found" in str(best.search)
     assert best.status == "solved"
     assert any("no C compiler was found" in warning for warning in best.warnings)
-    assert not any("no C compiler" in warning for warning in small.solve().warnings)
-
-
-@pytest.mark.parametrize("ramp", [None, 0.13])
-def test_many_runs_agree_with_and_without_a_compiler(r1_scene, monkeypatch, tmp_path, ramp):
-    """States at the outputs, means and mean squares: a search reads all of them."""
-    scene = r1_scene(strength_wave=po.StrengthWave(0.3, 0.6), damping=200.0, tow_ramp=ramp)
-    structure, known = Structure.of(scene), parameters(scene)
-    names = equation_of(structure).names
-    p = np.array([[*(float(known[name]) for name in names), 0.4]] * 3)
-    p[:, names.index("stiffness")] *= (0.5, 1.0, 2.0)
-    uncached = compiled_steps.compiled_steps.__wrapped__
-    monkeypatch.setattr(compiled_steps, "compiled_steps", uncached)  # remembers nothing
-    compiled = compiled_steps.ManyRuns(structure, 5)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CC", raising=False)
-    plain = compiled_steps.ManyRuns(structure, 5)
-    assert (compiled.compiled, plain.compiled) == (True, False)
-    for finer, near in ((1.0, 1e-4), (4.0, 1e-7)):
-        found, wanted = (runs(p, finer=finer) for runs in (plain, compiled))
-        # Between steps the compiled runs read a polynomial of degree 5: its slope errs by the fifth power of a step.
-        assert np.all(np.abs(found - wanted) <= near * np.max(np.abs(wanted), axis=0))
+    compiled = small.solve()
+    assert not any("no C compiler" in warning for warning in compiled.warnings)
+    # Averages over the few steps of a search.
+    assert best.search.objective[:50] == pytest.approx(compiled.search.objective[:50], rel=1e-3, nan_ok=True)
 
 
 # --- limits implied by a theory: the speed in an elastic medium stays below that of shear waves ---

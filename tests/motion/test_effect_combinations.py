@@ -18,9 +18,8 @@ from helpers.scenes import scene_of
 
 import plough_opt as po
 from plough_opt.app.main import main
-from plough_opt.motion import effect_costs, integrators
-from plough_opt.motion.equation import Structure, equation_of, parameters
-from plough_opt.motion.integrators import integration
+from plough_opt.motion import effect_costs
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.steps import step
 
 SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
@@ -39,11 +38,6 @@ FACTORS = {
 }
 # Mostly refused, so combined only in the test of refusals.
 FURTHER = {"motion": (True, False), "orbit": ("transient", "periodic"), "formulation": ("derived", "printed")}
-OWN = {
-    "inertial_drag": {"drag"}, "added_mass": {"added_mass"}, "entry": {"height"}, "tow_ramp": {"ramp_time"},
-    "strength_wave": {"wave_amplitude", "wavelength"}, "damping": {"damping"}, "rate_term": {"rate_term"},
-    "speed_term": {"speed_term"},
-}  # fmt: skip
 
 
 def choices(effects):
@@ -145,26 +139,6 @@ def test_combinations_run_and_are_right(r1_soil, combinations):
             # Soil that only resists absorbs energy, except for that of the soil carried along.
             carried = scene.reaction.added_mass * np.max(expected.speed) ** 2 / 2.0
             assert expected.soil_work > -carried
-
-
-@pytest.mark.parametrize("effects", COVERING, ids=label)
-def test_effects_that_are_off_are_not_in_the_equation(r1_soil, effects):
-    scene = scene_in(r1_soil, effects)
-    structure, known = Structure.of(scene), parameters(scene)
-    equation = equation_of(structure)
-    # The outputs always name the added mass, which is 0 if that effect is off.
-    names = set(equation.names) | set(known) - {"added_mass"}
-    assert is_on(effects, "added_mass") or known["added_mass"] == 0.0
-    for name, own in OWN.items():
-        assert is_on(effects, name) or not (own & names), name
-    stick_slip, smooth = (isinstance(effects["contact"], law) for law in (po.StickSlip, po.Smooth))
-    assert stick_slip or "breakaway" not in names
-    assert smooth == ("width" in names)
-    events = stick_slip or effects["entry"]
-    assert equation.states == 2 + events * (2 + effects["entry"] + is_on(effects, "tow_ramp"))
-    assert (equation.events is not None) == events
-    operations = [equation.rate.instruction_id(k) for k in range(equation.rate.n_instructions())]
-    assert is_on(effects, "strength_wave") == (ca.OP_SIN in operations)
 
 
 def test_the_bare_equation_is_a_spring_and_a_mass(r1_scene):
@@ -454,28 +428,6 @@ def operations(**changes):
 
 def test_operations_are_those_of_the_steps_of_a_run_and_its_check(costs):
     assert costs["strength wave"].operations == operations() / operations(strength_wave=None)
-
-
-def test_the_equation_of_motion_costs_what_a_quasi_static_run_does_not_take():
-    found = {cost.name: cost for cost in effect_costs.effect_costs(scene(damping=None), 0.1)}["equation of motion"]
-    assert (found.on, found.nodes, found.states, found.events) == (True, nodes(damping=None), 2, 0)
-    # Panels of 0.5 rad of twice the frequency of the wave, each with 10 places for the run and 16 for its check.
-    panels = math.ceil(4.0 * math.pi * 2.0 / 0.2 * 0.1 / 0.5)
-    each = effect_costs._of_resistance(Structure.of(scene(damping=None, motion=False)))
-    assert found.operations == operations(damping=None) / (26 * panels * each)
-
-
-def test_operations_of_an_adaptive_method_are_those_of_the_run_and_its_check(monkeypatch):
-    tolerances = {integrators: [], effect_costs: []}
-    for module, seen in tolerances.items():
-
-        def noted(structure, accuracy, timeline, seen=seen):
-            seen.append(accuracy.tolerance)
-            return integration(structure, accuracy, timeline)
-
-        monkeypatch.setattr(module, "integration", noted)
-    effect_costs._operations(scene(contact=po.StickSlip()), 0.1)
-    assert sorted(tolerances[effect_costs]) == pytest.approx(sorted(tolerances[integrators][-2:]), rel=1e-12)
 
 
 def test_a_periodic_orbit_is_measured_too():

@@ -1,6 +1,5 @@
 """Resistances of a user's own class: equal to built-in terms, stiff, in designs; and the public equation of motion."""
 
-import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -250,38 +249,6 @@ def test_rate_and_outputs_are_those_of_the_model(effects):
         resisted = forces.soil(travel, speed) + forces.carried(travel) * acceleration if mode == SLIP else 0.0
         assert [force, again, tow, place] == pytest.approx([pull, acceleration, u[0], travel + z], rel=1e-12, abs=1e-12)
         assert [soil, power] == pytest.approx([resisted, pull * u[0]], rel=1e-12, abs=1e-12 * abs(pull))
-
-
-def speed_of(t):
-    """Return a tow speed with a kink at 0.5 s and a jump at 0.8 s."""
-    return 2.0 + 0.4 * math.sin(9.0 * t) + max(t - 0.5, 0.0) - 0.3 * (t >= 0.8)
-
-
-def test_a_varying_speed_and_stiffness_integrated_by_scipy():
-    scene = scene_of(damping=300.0, strength_wave=LONG_WAVE, rate_term=0.02)
-    equation = scene.equation(controls=("stiffness", "tow_speed"), parameters=("soil.cohesion",))
-    forces = Forces(scene)
-
-    def controls(t):
-        return [5e4 * (1.0 + 0.3 * math.cos(4.0 * t)), speed_of(t)]
-
-    def again(t, x):
-        forces.k, tow = controls(t)
-        pull = forces.k * x[2] + forces.c * (tow - x[1])
-        return [x[1], forces.acceleration(SLIP, pull, x[0], x[1]), tow - x[1]]
-
-    def rate(t, x):
-        return flat(equation.rate(t, x, controls(t), equation.parameters))
-
-    x = flat(equation.start([5e4, 2.0], equation.parameters))
-    assert x[:2] == pytest.approx(forces.start()[:2], rel=1e-13)
-    y = x
-    for begin, end in ((0.0, 0.5), (0.5, np.nextafter(0.8, 0.0)), (0.8, 1.2)):
-        x, y = (
-            solve_ivp(f, (begin, end), start, "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
-            for f, start in ((rate, x), (again, y))
-        )
-    assert x == pytest.approx(y, rel=1e-11, abs=1e-11)
 
 
 SPEEDS = {"tow_profile": po.SpeedProfile((0.0, 0.4, 0.9), ((0.5, 0.5), (1.0, -0.3)))}

@@ -59,17 +59,6 @@ def test_what_a_law_lacks_is_omitted_with_a_warning_or_refused():
     assert own.ambient_share == 0.0
 
 
-def test_batch_agrees_with_single_runs():
-    def of(rake, depth, stiffness):
-        return scene(McKyesAli(width=0.1, rake_angle=rake, depth=depth), stiffness=stiffness)
-
-    x = [ca.MX.sym(name) for name in ("rake", "depth", "stiffness")]
-    values = np.array([[po.deg(42.0), 0.27, 4e5], [po.deg(46.0), 0.24, 6e5]])
-    singles = [po.simulate(of(*row.tolist()), 0.5).mean_draft for row in values]
-    # The relative error of a batch is 1e-8 of mean draft or RMS.
-    np.testing.assert_allclose(po.Batch(of(*x), 0.5, x)(values).mean_draft, singles, rtol=2e-8)
-
-
 def read(medium):
     """Return a problem with a medium, without requirements that only the plastic gas meets."""
     return po.read_problem(SUBSOILER, ["require={}", f"scene.medium={medium}"])
@@ -204,26 +193,6 @@ def test_all_refuse_the_same_designs_for_the_same_reason(law, count):
                 moving = po.simulate(drawn_scene(law, *row.tolist(), motion=True), 0.1).mean_draft
                 assert batch.mean_draft[k] == pytest.approx(moving, rel=1e-5)
     assert 0 < refused < count or count < COUNT
-
-
-def test_a_batch_gives_no_draft_where_a_wedge_does_not_fail_inside_its_range():
-    rng = np.random.default_rng(SEED)
-    rake, depth = rng.uniform(po.deg(5.0), po.deg(80.0), 60), rng.uniform(0.1, 0.5, 60)
-    x = [ca.MX.sym("rake"), ca.MX.sym("depth")]
-
-    def of(at, below):
-        return scene_of(medium=McKyesAli(width=0.08, rake_angle=at, depth=below))
-
-    result = po.Batch(of(*x), 0.1, x)(np.column_stack([rake, depth]))
-    refused = []
-    for k, row in enumerate(zip(rake.tolist(), depth.tolist(), strict=True)):
-        single = outcome(lambda row=row: po.simulate(of(*row), 0.1).mean_draft)
-        if isinstance(single, str):
-            refused.append(k)
-            assert result.reasons[k] == single
-            assert np.isnan(result.mean_draft[k])
-    assert [*result.reasons] == refused
-    assert 0 < len(refused) < 60
 
 
 def test_a_component_refuses_a_call_outside_the_domain_between_its_bounds():

@@ -11,7 +11,6 @@ from helpers.differences import differences, order_4
 from helpers.linear_motion import oscillation, released
 from helpers.scenes import R1_SOIL, SHARP, Shank, scene_of
 from scipy.integrate import quad
-from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 
 import plough_opt as po
@@ -196,16 +195,6 @@ def test_a_warning_names_the_first_touch():
     assert "has no derivative, and derivatives are those of slipping on" in text
     # A stop that was not noticed there changes the speed by as much as its error; outputs add 5e-11 to that.
     assert checks.unnoticed_stops(run, run.scene.natural_frequency, 1e-5) == pytest.approx(1e-5, rel=1e-4)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_speed_is_least_where_its_cubic_between_two_outputs_is(seed):
-    """The minimum agrees with the root of the derivative of SciPy's cubic."""
-    rng = np.random.default_rng(seed)
-    speed, slope = rng.uniform(-1.0, 1.0, 2), rng.uniform(0.1, 2.0, 2) * (-1.0, 1.0)
-    cubic = CubicHermiteSpline([0.0, 1.0], speed, slope)
-    turns = [x for x in cubic.derivative().roots(extrapolate=False) if cubic(x, 2) > 0.0]
-    assert checks._minimum(speed, slope) == pytest.approx(turns[0], rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -130,15 +130,6 @@ def test_random_tables_and_effects():
         assert_alike(found, run, run.error_estimate + 1e-10)
 
 
-def test_a_constant_table_is_a_constant_speed():
-    for effects in ({"damping": 300.0, "strength_wave": WAVE}, {"motion": False, "strength_wave": WAVE}):
-        scene = scene_of(**effects)
-        exact = po.Accuracy(error=1e-12) if scene.effects.motion else None
-        plain = po.simulate(scene, 1.0, accuracy=exact)
-        table = po.simulate(scene, 1.0, accuracy=exact, tow_speed=([0, 0.3, 0.7], [2, 2, 2]))
-        assert_alike(results_of(table), plain, 1e-11)
-
-
 def test_forms_of_a_table_agree():
     scene = scene_of(damping=300.0, strength_wave=WAVE)
     ureg = pint.UnitRegistry()

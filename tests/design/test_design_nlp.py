@@ -235,6 +235,7 @@ def test_motions_that_need_too_many_steps_are_skipped_or_refused(r1_scene, r1_wa
     d.minimise(po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 1.0, outputs=5).mean_draft / 1e3)
     best = d.solve()
     assert np.mean(np.isnan(best.search.objective)) > 0.1
+    assert any("could not be evaluated" in warning and "too fast" in warning for warning in best.warnings)
     fast, k0 = design(stiffness=(7e11, 5e11, 1e12, "N/m", True))
     fast.minimise(po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 1.0, outputs=5).mean_draft / 1e3)
     with pytest.raises(po.PloughError, match="shorten"):

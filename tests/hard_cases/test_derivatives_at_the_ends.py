@@ -264,13 +264,3 @@ def test_under_a_wave(end, kind):
             # The RMS and its derivatives are known to 1e-12 of the force and of its own.
             least = largest(size[0]) * (0.1 if k == RMS else 0.0)
             assert got == pytest.approx(true, rel=0, abs=allowed * max(largest(size[k]), least))
-
-
-@pytest.mark.slow
-def test_a_design_skips_mounts_that_are_too_stiff_and_warns():
-    d = po.Design()
-    stiffness = d.variable("stiffness", guess=1e6, lower=1e4, upper=1e12, unit="N/m", log=True)
-    run = po.simulate(scene_of(ORDINARY | {"stiffness": stiffness}, start="rest"), 1.0, outputs=4)
-    d.minimise(run.mean_draft / 1e3)
-    best = d.solve()
-    assert any("could not be evaluated" in warning and "too fast" in warning for warning in best.warnings)

@@ -1,6 +1,5 @@
 """Scenes at the ends of the domain: right by an independent integrator, or refused with a clear message; resonance."""
 
-import cmath
 import dataclasses
 import math
 import signal
@@ -175,7 +174,7 @@ def test_a_sample_of_the_whole_domain(seeds):
     assert all(len(reason) > 40 for reason in reasons)
 
 
-# --- resonance at zero damping over thousands of periods: amplitude and phase against the exact solution and theory ---
+# --- resonance at zero damping over thousands of periods against the exact solution ---
 
 STIFFNESS, WAVELENGTH = 5e4, 0.6
 
@@ -200,22 +199,6 @@ def exact(scene, t):
     return a / (2.0 * omega) * (math.cos(d) * np.sin(omega * t) / omega - t * np.cos(omega * t - d))
 
 
-def amplitude_and_phase(t, values, omega):
-    """Return what fits best as t times an oscillation, over the last tenth of the time: its complex factor."""
-    late = t > 0.9 * t[-1]
-    basis = np.column_stack([t[late] * np.cos(omega * t[late]), t[late] * np.sin(omega * t[late])])
-    return complex(*np.linalg.lstsq(basis, values[late], rcond=None)[0])
-
-
-def errors_of(scene, run):
-    """Return the relative error of the amplitude and the error of the phase [rad]."""
-    found, truth = (
-        amplitude_and_phase(run.time, values, scene.natural_frequency)
-        for values in (run.deflection - scene.reaction.static / STIFFNESS, exact(scene, run.time))
-    )
-    return abs(found) / abs(truth) - 1.0, cmath.phase(found / truth)
-
-
 @pytest.mark.parametrize("periods", [100, 1000])
 def test_resonance_without_damping_by_the_default(r1_soil, periods):
     # The default promises 1e-8 of the mean draft. The growth to 1e-4 of it leaves 2e-10 to the next order.
@@ -224,9 +207,8 @@ def test_resonance_without_damping_by_the_default(r1_soil, periods):
     truth = STIFFNESS * exact(scene, run.time)
     assert np.max(np.abs(truth)) == pytest.approx(1e-4 * scene.reaction.static, rel=0.02)
     assert run.error_estimate <= 1e-8
+    # So amplitude and phase are right to 1e-4.
     assert np.max(np.abs(run.mount_force - scene.reaction.static - truth)) < 1e-8 * scene.reaction.static
-    amplitude, phase = errors_of(scene, run)
-    assert math.hypot(amplitude, phase) < 1e-4
 
 
 @pytest.mark.slow

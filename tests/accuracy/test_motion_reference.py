@@ -13,14 +13,11 @@ import plough_opt as po
 from plough_opt.core.expressions import maximum
 from plough_opt.studies.accuracy.reference import (
     EPS,
-    PI,
     QUANTITIES,
     errors_of,
-    first_end,
     reference_gradient,
     reference_run,
 )
-from plough_opt.studies.accuracy.reference import LONGDOUBLE as W
 
 mp = precise_motion.mp
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
@@ -35,25 +32,6 @@ def off(found, wanted):
 
 
 # --- numerics ---
-
-
-FUNCTIONS = [
-    pytest.param(lambda t: 2 * np.cos(2 * t) - 1, PI / 6, 4, id="all digits"),
-    pytest.param(lambda t: (t - W(0.25)) * (t - W(0.5)) * (W(0.75) - t), 0.25, 4, id="the first of several"),
-    pytest.param(lambda t: t**2 * (W(0.5) - t), 0.5, 4, id="touching zero at the start"),
-    pytest.param(lambda t: -t, 0.0, 0, id="falling from zero"),
-    # 1e-4 below zero over 2 % of the step.
-    pytest.param(lambda t: (t - W(0.4)) ** 2 - W(1e-4), W(0.4) - W("0.01"), 4, id="a short dip"),
-    pytest.param(lambda t: (t - W(0.4)) ** 2 - W(2e-16), W(0.4) - np.sqrt(W(2e-16)), 4, id="below doubles' digits"),
-    # In this form rounding makes it negative.
-    pytest.param(lambda t: t * t - W("0.8") * t + W("0.16"), None, 0, id="touching zero"),
-]
-
-
-@pytest.mark.parametrize(("function", "end", "rounding"), FUNCTIONS)
-def test_the_first_end_of_a_function_that_is_positive_at_the_start_of_a_step(function, end, rounding):
-    found = first_end(function, W(0), W(1))
-    assert found is None if end is None else abs(found - end) <= rounding * EPS
 
 
 # --- closed forms ---

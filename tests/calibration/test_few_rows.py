@@ -49,29 +49,6 @@ def assert_same(one, other):
     assert (one.freedom, len(one.warnings)) == (other.freedom, len(other.warnings))
 
 
-@pytest.mark.parametrize("loss", ["squares", "huber", *(pytest.param(x, marks=pytest.mark.slow) for x in LOSSES[2:])])
-@pytest.mark.parametrize("rows", [1, 2, 3])
-@pytest.mark.parametrize("unknown", [COHESION, BOTH], ids=["one", "two"])
-@pytest.mark.parametrize("sigma", [None, 100.0])
-def test_few_rows_give_an_answer_or_say_what_is_missing(rows, loss, unknown, sigma):
-    estimated = sigma is None or loss != "squares"
-    data = table(rows, sigma=sigma)
-    if rows < len(unknown) + estimated:
-        with pytest.raises(po.InputError, match=r"rows are too few .* at least"):
-            po.calibrate(steady_scene(), data, unknown, loss=loss)
-        return
-    fit = po.calibrate(steady_scene(), data, unknown, loss=loss)
-    assert all(1e3 <= fit.values["soil.cohesion"] <= 80e3 and low <= high for low, high in fit.intervals().values())
-    assert fit.next_measurements()
-    try:
-        assert np.all(np.isfinite(fit.cross_validation().errors))
-    except po.InputError as error:
-        refusal = str(error)
-    else:
-        return
-    assert "use more folds" in refusal or "two rows or more" in refusal
-
-
 @pytest.mark.parametrize("loss", ["squares", "huber"])
 def test_rows_of_weight_0_change_nothing(loss):
     kept, extra = table(8), table(3, seed=1)
@@ -444,19 +421,6 @@ def test_intervals_agree_with_error_propagation():
     # What has bounds that are far apart is fitted by its logarithm.
     width = math.log(found["soil.strength_factor"].upper / found["soil.strength_factor"].lower)
     assert width / 2.0 == pytest.approx(1.959964 * math.hypot(1e5 / INDEX, slope * of_ratio), rel=1e-5)
-
-
-@pytest.mark.slow  # by default test_linear.py stands for it
-def test_the_intervals_hold_the_truth():
-    """Eight insertions and three widths of a known soil: 95 +- 3 % of the 95 % intervals hold the truth."""
-    true = dataclasses.replace(BASE, density_ratio=0.85, strength_factor=20.0)
-    index, radius = po.cone_index(true), po.loosened_radius(CONE, true)
-    trials, rng, inside = 500, np.random.default_rng(4), np.zeros(2)
-    for _ in range(trials):
-        indices, radii = (x * (1.0 + s * rng.standard_normal(n)) for x, s, n in ((index, 0.12, 8), (radius, 0.03, 3)))
-        found = fitted(indices, radii, (0.12 * index, 0.03 * radius)).intervals()
-        inside += [20.0 in found["soil.strength_factor"], 0.85 in found["soil.density_ratio"]]
-    assert np.all(np.abs(inside / trials - 0.95) <= 0.03), inside / trials
 
 
 def test_with_the_cone_index_in_the_file_the_trench_gives_the_density_ratio(tmp_path):

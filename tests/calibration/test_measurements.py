@@ -9,7 +9,7 @@ import pytest
 from scipy import interpolate
 
 import plough_opt as po
-from plough_opt.studies.calibration.model import Rows, interpolation
+from plough_opt.studies.calibration.model import Rows
 
 HEADER = "scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]\n"
 ROWS = "3.6, 40, 3.9, 0.1\n7.2, 40, 4.1, 0.1\n"
@@ -241,16 +241,6 @@ def test_fitted_runs_are_checked_by_runs_with_an_error_estimate(monkeypatch):
     assert any(f"differ from the fitted ones by up to {error:.2g} standard" in text for text in fit.warnings)
     monkeypatch.setattr(Rows, "checked", Mock(side_effect=po.IntegrationError("too fast")))
     assert "the run of the fitted scene could not be checked: too fast" in calibration.fit().warnings
-
-
-def test_interpolation_is_exact_for_polynomials():
-    places = np.array([0.0, 0.013, 0.5, 0.777, 0.999, 1.0])
-    matrix = interpolation(places, 20)
-    grid = np.linspace(0.0, 1.0, 21)
-    for degree in range(8):
-        # Eight nodes carry a polynomial of degree seven; weights of order ten at the ends.
-        np.testing.assert_allclose(matrix @ grid**degree, places**degree, atol=1e-12)
-    assert np.count_nonzero(matrix[0]) == np.count_nonzero(matrix[2]) == 1
 
 
 def test_a_run_needs_a_duration():

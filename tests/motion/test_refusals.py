@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.forces import SLIP, Forces
 from helpers.scenes import SEROZEM, SHARE, Own, Waves, scene_of
 from scipy.integrate import solve_ivp
 
@@ -332,19 +333,16 @@ def refusal(scene, duration, **keywords):
 
 def escape(scene, duration):
     """Return, by SciPy, the time at which a share retreats a million times faster than it is towed."""
-    k, m, v0, reaction = scene.stiffness, scene.inertia, scene.tow_speed, scene.reaction
-    rate = scene.effects.rate_term or 0.0
+    forces = Forces(scene)
 
     def rates(t, x):
-        force = reaction.static * (1.0 + rate * x[1] ** 2) + reaction.drag * x[1] ** 2
-        return [x[1], (k * (v0 * t - x[0]) - force) / m]
+        return [x[1], forces.acceleration(SLIP, forces.pull(t, *x), *x)]
 
     def fast(_, x):
-        return x[1] + 1e6 * v0
+        return x[1] + 1e6 * scene.tow_speed
 
     fast.terminal = True
-    start = [0.0, 0.0 if scene.effects.start == "rest" else v0]
-    return solve_ivp(rates, (0.0, duration), start, events=fast, rtol=1e-9, atol=1e-9).t[-1]
+    return solve_ivp(rates, (0.0, duration), forces.start()[:2], events=fast, rtol=1e-9, atol=1e-9).t[-1]
 
 
 @pytest.mark.parametrize("rate_term", [None, 0.1])

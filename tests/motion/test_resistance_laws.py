@@ -233,27 +233,6 @@ def test_an_optimum_at_the_edge_of_a_domain_is_exact_and_names_it(motion):
     assert best.objective == pytest.approx(brute.fun, rel=1e-8)
 
 
-def test_a_design_whose_guess_is_outside_finds_the_optimum_inside():
-    def steady(chisel):
-        return scene_of(share=po.Wedge(po.deg(30), chisel, 0.25), medium="mckyes_ali", motion=False)
-
-    design = po.Design()
-    chisel = design.variable("chisel", guess=po.deg(15), lower=po.deg(10), upper=po.deg(60), unit="rad")
-    design.minimise(po.simulate(steady(chisel), 0.2).mean_draft / 1e3)
-    best = design.solve(judge="bare")
-    (name,) = best.active
-    assert name.startswith("McKyes-Ali: least force of a wedge")
-    at = best.variables["chisel"]
-    assert po.simulate(steady(at), 0.2).mean_draft / 1e3 == pytest.approx(best.objective, rel=1e-9)
-    # The flattest angle that is not refused, by bisection, has the least draft.
-    low, high = po.deg(15.0), po.deg(60.0)
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        refused = isinstance(outcome(lambda middle=middle: po.simulate(steady(middle), 0.2).mean_draft), str)
-        low, high = (middle, high) if refused else (low, middle)
-    assert best.objective == pytest.approx(po.simulate(steady(high), 0.2).mean_draft / 1e3, rel=1e-7)
-
-
 def test_a_problem_file_whose_share_no_wedge_fits_names_law_and_ranges():
     problem = po.read_problem(SUBSOILER, ["require={}", "scene.medium=mckyes_ali"])
     with pytest.raises(po.InputError, match=r"share.height from 0.1 m to 0.5 m.*McKyes-Ali.*least force of a wedge"):

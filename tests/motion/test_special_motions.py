@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from helpers import three_modes
 from helpers.differences import differences, order_4
-from helpers.linear_motion import oscillation, released
+from helpers.linear_motion import released
 from helpers.scenes import R1_SOIL, SHARP, Shank, scene_of
 from scipy.integrate import quad
-from scipy.optimize import brentq
 
 import plough_opt as po
 from plough_opt.motion import checks
@@ -318,22 +317,6 @@ def test_overflow_names_the_repelling_spring(r1_scene, drag, duration, accuracy)
     assert "on 5 kN/m of a repelling spring, as printed, with" in message
 
 
-def test_a_design_finds_the_stiffness_of_a_wanted_deflection(r1_scene):
-    def scene(stiffness):
-        return r1_scene(stiffness=stiffness, start="rest", inertial_drag=False, formulation="printed")
-
-    wanted, duration = 1.5, 0.1
-    truth = brentq(lambda k: float(oscillation(scene(k), duration)[0]) - wanted, 1e3, 1e5, xtol=1e-9)
-    design = po.Design()
-    stiffness = design.variable("stiffness", guess=2e4, lower=1e3, upper=1e5, unit="N/m", log=True)
-    run = po.simulate(scene(stiffness), duration, outputs=4)
-    design.minimise((run.deflection[-1] / wanted - 1.0) ** 2 + 1.0)
-    best = design.solve()
-    # The objective is quadratic about its minimum of 1, so IPOPT's 1e-8 leaves about 1e-5 of the variable.
-    assert best(stiffness) == pytest.approx(truth, rel=1e-4)
-    assert any("not physics" in text for text in best.warnings)
-
-
 # --- several strength waves: their sum in every kind of run, against an independent solver and linear series ---
 
 WAVES = (po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.3, 0.7), po.StrengthWave(0.05, 0.12, -2.0))
@@ -356,17 +339,6 @@ def test_a_phase_is_a_shift_of_the_path():
     force = waved_scene().reaction.static * (1 + 0.3 * np.sin(2 * math.pi * (later.travel + shift) / 0.2))
     drag = waved_scene().reaction.drag * 4.0
     assert later.soil_resistance == pytest.approx(force + drag, rel=1e-13)
-
-
-def test_the_periodic_orbit_is_the_end_of_a_long_run():
-    orbit = po.simulate(waved_scene(orbit="periodic"))
-    # The common length of 0.2, 0.3 and 0.12 m is 0.6 m.
-    assert orbit.duration == pytest.approx(0.3, rel=1e-15)
-    long = po.simulate(waved_scene(), 6.0, outputs=2400)
-    last = long.mount_force[-121:-1]  # one period
-    assert np.std(last) == pytest.approx(orbit.force_rms, rel=1e-5)  # error of 120 samples
-    balanced = po.simulate(waved_scene(orbit=po.HarmonicBalance(20)))
-    assert balanced.force_rms == pytest.approx(orbit.force_rms, rel=1e-6)
 
 
 def test_small_waves_add_up_in_the_linear_response():

@@ -9,21 +9,12 @@ from helpers.small_designs import design
 import plough_opt as po
 from plough_opt.design.model import program as program_module
 from plough_opt.design.model.optimality import quadratic_program
-from plough_opt.design.search.local import point_as_found
-from plough_opt.studies.tradeoff import program as programs
 from plough_opt.studies.tradeoff.front import (
-    lead_over_front,
-    lead_over_points,
-    parts_of,
-    strongest_dominators,
     thinned,
-    uncrowded_on_curve,
-    uncrowded_on_surface,
     undominated,
     undominated_in_order,
     volume,
 )
-from plough_opt.studies.tradeoff.program import BatchCorrector, FrontProgram, declarations
 
 # --- quadratic programs -------------------------------------------------------------------------------------
 
@@ -52,47 +43,6 @@ def test_quadratic_programs_meet_their_first_order_conditions():
 
 
 # --- warm starts --------------------------------------------------------------------------------------------
-
-
-def test_a_front_is_followed_from_point_to_point_in_few_steps(plane, monkeypatch):
-    found, real = [], programs.Corrector.correct
-
-    def correct(*given):
-        found.append(real(*given))
-        return found[-1]
-
-    monkeypatch.setattr(programs.Corrector, "correct", correct)
-    d, x, y = plane
-    goals = (x**2 + y**2) ** 2, ((x - 1.0) ** 2 + y**2) ** 2
-    assert len(po.trade_off(d, *goals, points=41, search="near").points) == 41
-    # Starts are predicted from the last two designs; from the last one alone it takes 2.2 steps. IPOPT is never needed.
-    assert np.mean([point.iterations if point.solved else np.inf for point in found]) < 2.0
-
-
-@pytest.mark.parametrize("batched", [True, False])
-def test_a_solve_from_afar_finds_the_optimum_or_says_that_there_is_none(batched):
-    d, height, speed = design(height=(0.25, 0.1, 0.5, "m"), speed=(1.2, 1.0, 3.0, "m/s"))
-    share = po.Wedge(po.deg(30), po.deg(15), height)
-    scene = po.Scene(po.named_soil("serozem"), share, 5e4, 25.0, speed, po.Effects(damping=400.0))
-    # Least at a height of 0.3 m, and at a speed of 2 m/s.
-    goals = [po.Goal("height", (height - 0.3) ** 2), po.Goal("speed", (speed - 2.0) ** 2)]
-    d.require("draft", po.simulate(scene, 0.1).mean_draft, at_most=1e6, unit="N")
-    front = FrontProgram(declarations(d, goals), goals)
-    front.prepare(np.empty(0))
-    start = front.program.start()
-    front.build([start])
-    corrector = front.correctors[not batched]
-    assert isinstance(corrector, BatchCorrector) is batched
-    p = front.weighted(np.ones(2))
-    found = corrector.solve_from_afar(point_as_found(front.program, p, start), start, p)
-    assert found.solved
-    # Slopes of 5e-7 that differences leave are errors of as much in a scaled variable, for curvatures are about 1.
-    assert front.program.values(found.y) == pytest.approx([0.3, 2.0], rel=1e-5)
-    # The second objective is never negative.
-    p = front.limited(0, {1: -1.0})
-    none = corrector.solve_from_afar(found, found.y, p)
-    assert not none.solved
-    assert none.status == "Infeasible_Problem_Detected"
 
 
 # --- parameters and builds ----------------------------------------------------------------------------------
@@ -137,9 +87,6 @@ def test_another_question_is_built_anew():
 
 # --- domination, positions, gaps, area, volume and knee of points, against brute force and closed forms ---
 
-LINE = np.column_stack([np.linspace(0.0, 1.0, 11), np.linspace(1.0, 0.0, 11)])
-
-
 # --- domination ---------------------------------------------------------------------------------------------
 
 
@@ -151,11 +98,6 @@ def test_efficient_rows_are_those_that_brute_force_finds():
     assert sorted(found) == np.flatnonzero(~np.array(beaten)).tolist()
     assert np.all(np.diff(points[found, 0]) > 0.0)
     assert np.all(np.diff(points[found, 1]) < 0.0)
-
-
-def test_crowded_rows_go_and_ends_of_parts_stay():
-    front = np.array([[0.0, 1.0], [0.001, 0.999], [0.1, 0.9], [0.2, 0.8], [0.201, 0.799], [0.9, 0.1], [1.0, 0.0]])
-    assert uncrowded_on_curve(front, 0.2).tolist() == [0, 2, 4, 5, 6]
 
 
 def test_of_rows_that_beat_each_other_by_rounding_one_stays():
@@ -181,43 +123,6 @@ def test_volume_is_that_of_the_boxes():
 # --- designs beyond a front ---------------------------------------------------------------------------------
 
 
-def test_designs_beyond_a_line():
-    designs = np.array([[0.33, 0.67], [0.33, 0.57], [0.33, 0.77], [-0.1, 1.5], [1.2, 0.3]])
-    # On the line, below it by 0.05 in both objectives, above it, beyond an end by 0.1, and dominated by an end.
-    assert lead_over_front(LINE, designs, 0.2)[:4] == pytest.approx([0.0, 0.05, -0.05, 0.1], abs=1e-12)
-    assert lead_over_front(LINE, designs, 0.2)[4] < 0.0
-
-
-def test_in_a_gap_only_points_count():
-    broken = np.delete(LINE, [4, 5, 6], axis=0)
-    middle = np.array([[0.5, 0.5]])
-    assert lead_over_front(broken, middle, 0.2) == pytest.approx([0.2])
-    assert lead_over_points(broken, middle) == pytest.approx([0.2])
-    # A front of one point has no line.
-    assert lead_over_front(LINE[:1], middle, 0.2) == pytest.approx([0.5])
-    # With steps four times as long the same neighbours are not far apart.
-    assert lead_over_front(broken, middle, 0.8) == pytest.approx([0.0], abs=1e-12)
-
-
-def test_designs_beyond_a_plane():
-    plane = np.array([[i, j, 6 - i - j] for i in range(7) for j in range(7 - i)]) / 6.0
-    designs = np.array([[0.3, 0.3, 0.4], [0.3, 0.3, 0.37], [0.3, 0.3, 0.43]])
-    assert lead_over_front(plane, designs, 1.0 / 6.0) == pytest.approx([0.0, 0.01, -0.01], abs=1e-12)
-    # Points on a line have no triangle, and a lead of half a step does not count.
-    assert lead_over_front(plane[:7], designs, 1 / 6) == pytest.approx(lead_over_points(plane[:7], designs) - 1 / 12)
-    # Beyond the edge a lead of half a step does not count.
-    outside = np.array([[-0.05, 0.5, 0.55]])
-    assert lead_over_front(plane, outside, 1.0 / 6.0)[0] < 0.0 < lead_over_points(plane, outside)[0]
-
-
-def test_by_how_much_designs_beat_a_point():
-    designs = np.array([[0.4, 0.5], [0.1, 0.95], [0.5, 0.6]])
-    most, by = strongest_dominators(LINE, designs)
-    assert by == pytest.approx([max(min(a - c, b - d) for c, d in designs) for a, b in LINE], abs=1e-15)
-    assert [most[0], most[10]] == [1, 0]
-    assert np.all(strongest_dominators(LINE, np.empty((0, 2)))[1] == -np.inf)
-
-
 # In a cell the row of least sum may be behind another one by the cell's size, and is then thinned out itself.
 @pytest.mark.parametrize(("thin", "most"), [(undominated, 0.01), (thinned, 0.02)])
 def test_thinned_designs_beat_all_others_to_a_tolerance(thin, most):
@@ -227,11 +132,3 @@ def test_thinned_designs_beat_all_others_to_a_tolerance(thin, most):
     assert np.max(behind) <= most
     assert len(thin(designs[:0], 0.01)) == 0
     assert not any(np.any(np.all(designs < own, axis=1)) for own in kept)
-
-
-def test_parts_and_crowds():
-    row = np.array([[k * 0.1, 1.0 - k * 0.1, 0.0] for k in (0, 1, 2, 6, 7)])
-    parts, holes = parts_of(row, 0.1)
-    assert parts == [[0, 1, 2], [3, 4]]
-    assert [sorted(pair) for pair in holes] == [[2, 3]]
-    assert uncrowded_on_surface(row, np.array([0, 1, 2, 2, 1]), 0.15).tolist() == [0, 2, 4]

@@ -19,7 +19,6 @@ import plough_opt as po
 from plough_opt.app.terminal import print_page
 from plough_opt.core.screen import Screen
 from plough_opt.problem_file.sweep import SimulationOfMany
-from plough_opt.studies.tradeoff.assembly import hole
 from plough_opt.studies.tradeoff.front import MissingPoint, distances, undominated
 
 # --- fronts of known shape, of a ridge, of objectives that hardly conflict, and of designs beside needles ---
@@ -105,15 +104,6 @@ def test_a_front_along_an_equality(plane):
     assert x[[0, -1]] == pytest.approx([0.25, 0.75], abs=3e-4)
     assert front.objectives[:, 0] == pytest.approx(x**2 + (0.5 - x) ** 2, abs=1e-9)
     assert front.holes == ()
-
-
-@pytest.mark.parametrize("status", ["Maximum_Iterations_Exceeded", "Infeasible_Problem_Detected"])
-def test_a_hole_in_which_the_optimiser_failed_is_not_settled(broken, status):
-    before, after = broken.points[broken.parts[0][-1]], broken.points[broken.parts[1][0]]
-    signs = np.ones(2)
-    within = MissingPoint(before.objectives, f"{status}: why")
-    beside = MissingPoint(broken.points[0].objectives, "Maximum_Iterations_Exceeded: why")
-    assert hole(before, after, [within, beside], signs) == replace(broken.holes[0], settled="Infeasible" in status)
 
 
 # --- anchors and positions ----------------------------------------------------------------------------------
@@ -379,18 +369,6 @@ def test_designs_at_the_edge_of_a_needle_are_part_of_the_front_and_marked(front)
         assert point.medians[1] - point.objectives[1] <= 0.05 * 2.0
     assert any(f"{len(edge)} of {len(front.points)} designs are unconfirmed" in note for note in front.notes)
     assert not any("are needles" in note and note.startswith(f"{len(front.points)} of") for note in front.notes)
-
-
-@pytest.mark.slow
-def test_files_tables_and_pictures_mark_them(front, tmp_path):
-    count = sum(not point.confirmed for point in front.points)
-    with front.to_csv(tmp_path / "front.csv").open(encoding="utf-8", newline="") as file:
-        assert [row["status"] for row in csv.DictReader(file)].count("unconfirmed") == count
-    assert po.load(front.save(tmp_path / "front.json")).points == front.points
-    assert str(front).count("unconfirmed") > 1
-    axes = front.plot(Figure().subplots())
-    (drawn,) = [line for line in axes.lines if line.get_label() == "unconfirmed"]
-    assert len(drawn.get_xdata()) == count
 
 
 # --- files and pictures -------------------------------------------------------------------------------------

@@ -206,31 +206,9 @@ def _path(count):
     return _program(d)
 
 
-def _events():
-    """Return the program of averages over soils of runs that stick and slip."""
-    d, k0 = design(stiffness=(5e4, 2e4, 9e4, "", True))
-    share = po.Wedge(po.deg(35.0), po.deg(15.0), 0.2)
-    wave = po.StrengthWave(0.9, 0.2)
-    effects = po.Effects(contact=po.StickSlip(1.2), strength_wave=wave, damping=200.0)
-
-    def response(soil):
-        return {"rms": po.simulate(po.Scene(soil, share, k0, 25.0, 0.8, effects), 0.5, outputs=5).force_rms / 1e3}
-
-    d.minimise(po.Robust(UNIFORM_FIELD, response, samples=3).mean_plus("rms", 1.0))
-    return _program(d)
-
-
-PROGRAMS = [
+def test_derivatives_against_differences():
     # The measures' third derivatives jump where a sample enters a width: differences lose digits there.
-    pytest.param(lambda: _path(6), [0.61, 0.43, 0.37], 1e-7, 1e-6, id="averages, a path and another run"),
-    # Tolerances of integrators with events: 1e-10.
-    pytest.param(_events, [0.5], 1e-5, 1e-5, id="events", marks=pytest.mark.slow),
-]
-
-
-@pytest.mark.parametrize(("make", "point", "first", "second"), PROGRAMS)
-def test_derivatives_against_differences(make, point, first, second):
-    check_derivatives(make().nlp, np.array(point), np.zeros(0), first, second)
+    check_derivatives(_path(6).nlp, np.array([0.61, 0.43, 0.37]), np.zeros(0), 1e-7, 1e-6)
 
 
 def test_the_graph_of_the_derivatives_does_not_grow_with_the_samples():

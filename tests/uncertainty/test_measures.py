@@ -197,15 +197,6 @@ def test_bias_of_the_probability_is_of_second_order(limit):
     assert np.log2(biases[0] / biases[1]) == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.parametrize("level", [0.8, 0.95])
-def test_bias_of_cvar_is_of_second_order(level):
-    density = stats.norm.pdf(stats.norm.ppf(level))
-    sharp = density / (1.0 - level)
-    for width in (0.4, 0.2):
-        bias = measures.cvar(NORMAL, level, width=width) - sharp
-        assert bias == pytest.approx(density * width**2 / 18.0 / (1.0 - level), rel=width**2, abs=1e-5)
-
-
 # --- derivatives -----------------------------------------------------------------------------------------
 
 

@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from helpers.commands import call
 from helpers.every_result import EVERY
-from helpers.problem_files import COTTON, SUBSOILER
+from helpers.problem_files import SUBSOILER
 from rich.console import Console
 
 import plough_opt as po
@@ -121,9 +121,6 @@ def test_a_new_file_is_written_once(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "link"]
 
 
-QUICK = ("--set", "scene.duration=0.05 s", "--set", "scene.outputs=10")
-
-
 # A program that waits in the middle of a file until a signal terminates it.
 SLOW = """
 import sys, time
@@ -152,15 +149,6 @@ def test_a_signal_that_ends_the_process_leaves_nothing_behind(tmp_path, kind, nu
     process.communicate()
     assert process.returncode == -number
     assert list(tmp_path.iterdir()) == []
-
-
-def test_json_is_the_same_whatever_the_streams_encoding(tmp_path):
-    title = 'Grubber für Шымкент, ≤ 40 \N{TRACTOR} "quoted"'
-    path = tmp_path / "p.toml"
-    path.write_text(re.sub("^title = .*", f"title = '{title}'", COTTON, flags=re.MULTILINE), encoding="utf-8")
-    line = [sys.executable, "-m", "plough_opt", "simulate", str(path), *QUICK, "--json"]
-    done = subprocess.run(line, capture_output=True, check=True, env=os.environ | {"PYTHONIOENCODING": "ascii"})
-    assert json.loads(done.stdout.decode("ascii"))["title"] == title
 
 
 # --- a process: the processors it may use, and CasADi's notices, which a stream of the commands drops ---

@@ -88,27 +88,6 @@ def saved(file):
     return po.load(path)
 
 
-VARIED = [
-    ("soil.cohesion", "soil.cohesion", "{} Pa"),
-    ("soil.ambient_pressure", "soil.ambient_pressure", "{} Pa"),  # of the named soil, not in the file
-    ("half_angle at_most", "require.half_angle.at_most", "{} rad"),
-]
-
-
-@pytest.mark.parametrize(("name", "key", "value"), VARIED)
-def test_it_is_the_file_solved_again_with_another_value(file, saved, name, key, value):
-    (found,) = [item for item in saved.sensitivities if item.name == name]
-    assert saved.run.scene.soil.name == "serozem, changed"  # as in the file
-
-    def objective(factor):
-        text = value.format(repr(factor * found.value))
-        return po.read_problem(file, [f'{key}="{text}"']).optimise()[0].objective
-
-    one, two = (objective(1.0 + s) - objective(1.0 - s) for s in (1e-3, 2e-3))
-    # An objective good to 1e-12 over a step of 1e-3, and the step to the fourth power.
-    assert found.elasticity == pytest.approx((8.0 * one - two) / 12e-3 / saved.objective, rel=1e-8, abs=1e-9)
-
-
 def test_the_table_has_every_quantity_that_matters_in_order_of_size(file, saved):
     done = call("optimise", file, "--sensitivity")
     assert (done.status, done.err) == (0, "")

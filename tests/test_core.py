@@ -158,40 +158,9 @@ def test_a_quadrature_is_exact_for_polynomials_below_twice_its_order(order):
 LOW = DomainLimit("something", at_most=2.0, unit="m")
 HIGH = DomainLimit("something else", at_most=3.0)
 
-POINT = np.array([0.7, -1.3, 2.1])
-
 
 def whole(*outputs, symbol):
     return ca.Function("whole", [symbol], list(outputs), {"never_inline": True})
-
-
-VALUES = {
-    "scalar": lambda x: ca.sin(x[0]) * ca.exp(x[1]) + x[2] ** 3,
-    "column": lambda x: ca.vertcat(x[0] * x[1], ca.cos(x[2]), x[0] ** 2),
-    "matrix": lambda x: x @ x.T,
-    "sparse": lambda x: ca.diag(x**2),
-}
-
-
-@pytest.mark.parametrize("value", VALUES.values(), ids=VALUES)
-def test_value_and_all_derivatives_pass_unchanged(value):
-    x = ca.MX.sym("x", 3)
-    plain = value(x)
-    labelled = attach(plain, ca.vertcat(x[0] * x[1], x[2]), LOW, LOW)
-    assert labelled.shape == plain.shape
-    found = []
-    for y in (plain, labelled):
-        y = ca.vec(ca.densify(y))
-        jacobian = ca.jacobian(y, x)
-        weights = ca.DM(np.linspace(1.0, 2.0, y.numel()))
-        hessian, gradient = ca.hessian(ca.dot(weights, y), x)
-        forward, reverse = ca.jtimes(y, x, ca.DM([1.0, 2.0, 3.0])), ca.jtimes(y, x, weights, True)
-        third = ca.jacobian(ca.vec(hessian), x)
-        function = whole(y, jacobian, gradient, hessian, forward, reverse, third, symbol=x)
-        found.append([np.asarray(part) for part in function(POINT)])
-    for own, wanted in zip(found[1], found[0], strict=True):
-        # Differentiation through the label adds the same terms in a different order.
-        np.testing.assert_allclose(own, wanted, rtol=4e-16, atol=4e-16 * np.max(np.abs(wanted)))
 
 
 def test_carried_expressions_do_not_affect_the_value_even_if_undefined():

@@ -13,6 +13,7 @@ import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from helpers.every_result import fit, front, run
 from helpers.problem_files import PROBLEMS
 from scipy import stats
 
@@ -48,12 +49,6 @@ def design():
 @functools.cache
 def optimum():
     return design()[0].solve(search="local")
-
-
-@functools.cache
-def front():
-    d, draft, radius = design()
-    return po.trade_off(d, draft, radius, points=5, search="local")
 
 
 @functools.cache
@@ -95,11 +90,6 @@ def measured():
 
 
 @functools.cache
-def fitted():
-    return po.calibrate(SCENE, measured(), {"soil.cohesion": (1e3, 8e4)})
-
-
-@functools.cache
 def problem():
     return po.read_problem(PROBLEMS / "cotton_subsoiler.toml", ["scene.duration=0.1 s"])
 
@@ -107,11 +97,6 @@ def problem():
 @functools.cache
 def refined():
     return po.refine(lambda n: 1.0 + 1.0 / n, [1, 2, 4])
-
-
-@functools.cache
-def run():
-    return po.simulate(SCENE, 1.0)
 
 
 FRESH = po.Design()
@@ -233,7 +218,7 @@ def _functions():
 
 def _methods():
     """Return name -> method of an existing object, with its required arguments."""
-    fit, best, traded, uncertain, samples = fitted(), optimum(), front(), robust(), field().sample(8)
+    fit_, best, traded, uncertain, samples = fit(), optimum(), front(), robust(), field().sample(8)
     reach, half = {"name": "reach"}, {"number": 1, "of": 1, "by": 0}
     normal = po.uncertainty.Marginal(stats.norm(0.0, 1.0))
     declared = {
@@ -249,7 +234,7 @@ def _methods():
         "Batch.stream": (lambda chunks, threads=1: [*batch().stream(chunks, threads=threads)], {"chunks": [[[5e4]]]}),
         "Component()": (made().__call__, {"share_height": 0.2}),
         "Cone.solid_mass": (CONE.solid_mass, {"density": 7850.0}),
-        **_group("Fit.", _of(fit, "intervals next_measurements cross_validation"), folds=3,
+        **_group("Fit.", _of(fit_, "intervals next_measurements cross_validation"), folds=3,
                  candidates=[po.Candidate("mean_draft", {"scene.tow_speed": 2.0})]),
         **_group("Measurements.", _of(measured(), "row at"), number=1),
         "Optimum()": (best.__call__, {"item": design()[1]}),

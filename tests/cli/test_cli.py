@@ -22,6 +22,7 @@ import pytest
 import trimesh
 from helpers.commands import call, cells, printed
 from helpers.problem_files import PROBLEMS, REFERENCE, SUBSOILER, changed
+from helpers.swept import until
 from rich.console import Console
 
 import plough_opt as po
@@ -350,12 +351,6 @@ def test_bash_completes_commands_and_options(tmp_path):
 def soon(monkeypatch):
     """Write lines of progress after hundredths of a second."""
     monkeypatch.setattr(process, "INTERVAL", 0.01)
-
-
-def until(true):
-    """Wait for what another thread does."""
-    while not true():
-        time.sleep(0.01)
 
 
 @pytest.mark.usefixtures("soon")

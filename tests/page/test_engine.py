@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,45 +21,7 @@ from plough_opt.problem_file.schema import measures_of
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="needs node: apt-get install nodejs")
-WAVES = 'strength_wave={amplitude=0.3,wavelength="0.2 m"}'
-COMPACTION = 'soil.compaction={pressure=["25 kPa","50 kPa","100 kPa"],volume_lost=[0.010,0.021,0.039]}'
-# Scene -> changes of the file.
-SCENES = {
-    "as in the file": [],
-    "undamped": [f"effects={{{WAVES}}}"],
-    "from rest": ["effects.start=rest"],
-    "towed": ["effects.start=towed"],
-    "ramp": ["effects.start=rest", "effects.tow_ramp=0.137 s"],
-    "ramp from equilibrium": ["effects.tow_ramp=0.4 s"],
-    "smooth contact": ["effects.contact=smooth", "effects.contact_width=0.4 m/s", "scene.duration=0.5 s"],
-    "rate term and two waves": [
-        'effects.strength_wave_2={amplitude=0.1,wavelength="0.5 m",phase="20 deg"}', "effects.rate_term=0.02 s^2/m^2"
-    ],
-    "no drag, no added mass": ["effects.inertial_drag=false", "effects.added_mass=false"],
-    "quasi-static ramp": [f'effects={{motion=false,tow_ramp="0.3 s",{WAVES}}}'],
-    "another law": ["scene.medium=mckyes_ali", "share.chisel_angle=35 deg", "require={}"],
-    "a result of the file": [
-        'measures.fuel={value="tow_power / (2 * loosened_radius)",unit="W/m"}', "scene.outputs=150",
-        "effects.ambient_pressure=false",
-    ],
-    "whole waves": ["scene.average=whole waves", "scene.duration=1.03 s"],
-    "whole waves of two, quasi-static": [
-        'effects={motion=false,tow_ramp="0.1 s",strength_wave={amplitude=0.3,wavelength="0.2 m"},'
-        'strength_wave_2={amplitude=0.1,wavelength="0.5 m"}}', "scene.average=whole waves", "scene.duration=1.03 s",
-    ],
-    "a periodic orbit": ["effects.orbit=periodic"],
-    "stick and slip": [
-        "effects.contact=stick_slip", "effects.breakaway=1.2", "effects.start=rest", "scene.tow_speed=0.2 m/s",
-        "scene.stiffness=20 kN/m", "scene.duration=1 s",
-    ],
-    "entry": ["effects.start=towed", "effects.entry=true", "scene.duration=1 s"],
-    "entry, stick and slip, ramp": [
-        "effects.start=rest", "effects.entry=true", "effects.contact=stick_slip", "effects.tow_ramp=0.3 s",
-        "scene.duration=1 s",
-    ],
-    "a speed over time": ['scene.tow_speed={time=["0 s","0.5 s","1.3 s"],speed=["1 m/s","2.5 m/s","2 m/s"]}'],
-    "a compression test": ["soil.ambient_pressure=60 kPa", COMPACTION],
-}  # fmt: skip
+SCENES = tomllib.loads(Path(__file__).with_name("scenes.toml").read_text(encoding="utf-8"))
 DESIGNS = 17
 WAVE = po.StrengthWave(0.3, "20 cm")
 # A symbolic RMS is never 0, so that it has derivatives: by that a small one differs from a number's.

@@ -5,7 +5,6 @@ from pathlib import Path
 from urllib.parse import unquote, urldefrag, urljoin
 
 import pytest
-from helpers.browser import chromium
 
 import plough_opt as po
 
@@ -14,12 +13,6 @@ PAGES = [path for path in sorted(SITE.rglob("*.html")) if path.parts[len(SITE.pa
 PHONE, DESK = {"width": 390, "height": 844}, {"width": 1280, "height": 900}
 
 pytestmark = [pytest.mark.site, pytest.mark.skipif(not PAGES, reason="make docs builds the site")]
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture

@@ -65,20 +65,15 @@ def test_smooth_contact(batch_of, errors, more):
     assert np.all(errors(batch_of(0.5, **effects)(DESIGNS), 0.5, **effects) < 2e-9)
 
 
-@dataclass(frozen=True)
-class Kinked:
-    """Forces with corners, and one that jumps."""
-
-    size: float
-
-    def force(self, travel, speed):
-        corners = abs(sin(9.0 * travel)) + maximum(speed - 2.0, 0.0) - minimum(speed, 1.9)
-        return self.size * (corners + where(sin(5.0 * travel) > 0.3, 1.0, 0.5))
+def kinked(travel, speed):
+    """Return a force with corners and jumps."""
+    corners = abs(sin(9.0 * travel)) + maximum(speed - 2.0, 0.0) - minimum(speed, 1.9)
+    return 60.0 * (corners + where(sin(5.0 * travel) > 0.3, 1.0, 0.5))
 
 
 @pytest.mark.usefixtures("no_compiler")
 def test_own_resistances_with_corners(batch_of, errors, r1_wave):
-    effects = {"strength_wave": r1_wave, "own": (Kinked(60.0),)}
+    effects = {"strength_wave": r1_wave, "own": (Own(kinked),)}
     # Single simulations do not locate corners; at the tightest tolerance they pass them by many small steps.
     small_steps = po.Accuracy("erk", tolerance=1e-13)
     assert np.all(errors(batch_of(error=1e-8, **effects)(DESIGNS[:2]), 1.0, small_steps, **effects) < 1e-8)

@@ -420,8 +420,8 @@ def formula_of(values):
     raise ValueError(f"=HYPERLINK({values['@a']})")
 
 
-def test_names_and_reasons_of_a_sweep_are_no_formulas(tmp_path):
-    with ThreadPoolExecutor(1) as inline, po.sweep(formula_of, {"@a": [-1.0, 2.0]}, executor=inline) as found:
+def test_names_and_reasons_of_a_sweep_are_no_formulas(inline, tmp_path):
+    with po.sweep(formula_of, {"@a": [-1.0, 2.0]}, executor=inline) as found:
         rows = [*csv.reader(found.to_csv(tmp_path / "a.csv").read_text(encoding="utf-8").splitlines())]
     reasons = [f"ValueError: =HYPERLINK({value})" for value in (-1.0, 2.0)]
     assert rows == [["point", "'@a", "reason"], ["0", "-1.0", reasons[0]], ["1", "2.0", reasons[1]]]

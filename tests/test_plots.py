@@ -3,7 +3,6 @@
 import dataclasses
 import io
 import itertools
-from concurrent.futures import ThreadPoolExecutor
 
 import matplotlib.pyplot
 import numpy as np
@@ -192,11 +191,8 @@ def test_a_far_limit_is_named_and_does_not_flatten_the_curve(run):
     assert close.get_ylim()[1] > 1.2 * peak
 
 
-def test_a_sweep_of_one_quantity_is_drawn_in_one_colour():
-    with (
-        ThreadPoolExecutor(1) as inline,
-        po.sweep(lambda at: {"b": at["a"], "c": 3.0}, {"a": [1.0, 2.0, 30.0]}, executor=inline) as own,
-    ):
+def test_a_sweep_of_one_quantity_is_drawn_in_one_colour(inline):
+    with po.sweep(lambda at: {"b": at["a"], "c": 3.0}, {"a": [1.0, 2.0, 30.0]}, executor=inline) as own:
         varying, constant = own.plot().axes
     assert len(varying.collections[0].get_facecolor()) == 1
     assert (varying.get_xscale(), constant.get_ylim()) == ("log", (0.0, pytest.approx(3.6)))

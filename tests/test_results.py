@@ -7,7 +7,6 @@ import math
 import platform
 import re
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from importlib.metadata import version
 
@@ -146,9 +145,9 @@ def squared(point):
     return {"force": 1e3 * point["a"] ** 2 + point["b"]}
 
 
-def test_a_sweep_prints_draws_and_gives_its_points(tmp_path):
+def test_a_sweep_prints_draws_and_gives_its_points(inline, tmp_path):
     over = {"a": [1.0, 2.0, 3.0], "b": [0.0, 10.0]}
-    with ThreadPoolExecutor(1) as inline, po.sweep(squared, over, executor=inline, units={"force": "N"}) as swept:
+    with po.sweep(squared, over, executor=inline, units={"force": "N"}) as swept:
         text, frame, saved = str(swept), swept.to_dataframe(), strict(swept.to_json())
         assert 'src="data:image/png;base64,' in swept._repr_html_()
         assert swept.plot(tmp_path / "picture.svg").axes
@@ -193,14 +192,10 @@ def denser(r, width):
 
 def test_missing_effects_and_functions_are_named_and_not_run(tmp_path):
     soil = po.named_soil("serozem").with_density_profile(denser, 0.15, order=2)
-    scene = scene_of(soil, own=(Shank(30.0),), damping=400.0, orbit="periodic", strength_wave=po.StrengthWave(0.3, 0.2))
-    made = po.simulate(scene)
+    made = po.simulate(scene_of(soil, own=(Shank(30.0),), damping=400.0), 0.2)
     path = made.save(tmp_path / "own.json")
-    assert (po.load(path).scene, po.load(path).floquet) == (scene, made.floquet)  # their modules are there
-    text = path.read_text(encoding="utf-8")
-    own = "helpers.scenes:Shank"
-    assert own in text
-    path.write_text(text.replace(own, "elsewhere:Shank").replace(f"{__name__}:", "elsewhere:"), encoding="utf-8")
+    text = path.read_text(encoding="utf-8").replace("helpers.scenes:", "elsewhere:")
+    path.write_text(text.replace(f"{__name__}:", "elsewhere:"), encoding="utf-8")
     found = po.load(path)
     assert strict(found.to_json()) == strict(path.read_text(encoding="utf-8"))
     assert po.load(path).scene == found.scene
@@ -209,10 +204,6 @@ def test_missing_effects_and_functions_are_named_and_not_run(tmp_path):
     for name, missing in (("Shank", effect.force), ("denser", found.scene.soil.density_profile.density)):
         with pytest.raises(po.InputError, match=f"'elsewhere:{name}', which is not defined here"):
             missing(0.0, 1.0)
-    # Nor is a class taken that is no effect; `test_files_from_strangers` tries classes of Python.
-    path.write_text(text.replace(own, "plough_opt:Smooth").replace('"static": 30.0', '"width": 0.1'), encoding="utf-8")
-    with pytest.raises(po.InputError, match=r"at scene\.effects\.own\.0: is not of type OwnResistance"):
-        po.load(path)
     partial = scene_of(soil.with_density_profile(functools.partial(denser, width=0.15), order=2), motion=False)
     with pytest.raises(po.InputError, match="a value of type partial cannot be saved"):
         po.simulate(partial, 0.1).save(path)
@@ -377,10 +368,9 @@ def test_compare_refuses_one_file_and_an_output_that_is_an_input(saved, tmp_path
         assert told in done.said
 
 
-def test_a_sweep_is_shown_from_its_store(tmp_path):
+def test_a_sweep_is_shown_from_its_store(inline, tmp_path):
     store, over = tmp_path / "s.db", {"a": [1.0, 2.0]}
-    with ThreadPoolExecutor(1) as inline, po.sweep(lambda point: {"b": point["a"]}, over, store=store, executor=inline):
-        pass
+    po.sweep(lambda point: {"b": point["a"]}, over, store=store, executor=inline).close()
     assert "2 points, 0 failed" in printed("show", store)
     assert strict(printed("show", store, "--json"))["points"] == 2
     assert "the store of a sweep has no problem file" in call("show", store, "--problem").said

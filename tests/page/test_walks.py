@@ -30,12 +30,23 @@ def written(tmp_path_factory):
 
 
 @pytest.fixture
-def walk(browser, written):
-    """Return the page as it is opened; at the end it has said nothing and asked for nothing."""
-    page, said, asked = open_page(browser, written)
-    yield page
-    assert (said, {*asked}) == ([], {written.as_uri()})
-    page.context.close()
+def opened(browser):
+    """Return a function that opens a page; at the end the pages have said nothing and asked for nothing."""
+    every = []
+
+    def opened(written, *arguments, **context):
+        every.append((*open_page(browser, written, *arguments, **context), written))
+        return every[-1][0]
+
+    yield opened
+    for page, said, asked, written in every:
+        assert (said, {*asked}) == ([], {written.as_uri()})
+        page.context.close()
+
+
+@pytest.fixture
+def walk(opened, written):
+    return opened(written)
 
 
 def state(page):
@@ -210,8 +221,8 @@ def place(page, x, y):
     }""", [x, y])  # fmt: skip
 
 
-def test_a_point_of_a_front_is_taken_by_a_click_and_says_for_which_question_it_was_computed(browser, traded):
-    page, said, _ = open_page(browser, traded)
+def test_a_point_of_a_front_is_taken_by_a_click_and_says_for_which_question_it_was_computed(opened, traded):
+    page = opened(traded)
     assert "9 efficient designs" in page.locator("#answer").inner_text()
     assert page.locator("#traded table.grid tbody tr").count() == 9
     cloud = page.locator("#now_cloud")
@@ -230,19 +241,16 @@ def test_a_point_of_a_front_is_taken_by_a_click_and_says_for_which_question_it_w
     legend.get_by_text("front, computed for the file’s question").wait_for()
     assert legend.get_by_text("knee, computed for the file’s question").count() == 1
     assert page.locator("#command").input_value().startswith("plough-opt tradeoff 'draft_against_loosening.toml'")
-    assert said == []
-    page.context.close()
 
 
-def test_a_link_opens_the_same_design(walk, browser, written):
+def test_a_link_opens_the_same_design(walk, opened, written):
     walk.evaluate("ploughOpt.set({ 'scene.tow_speed': 2.5, 'share.height': 0.3 })")
     settled(walk)
-    again, said, _ = open_page(browser, written, address="#" + walk.url.partition("#")[2])
-    assert (state(again), said) == (state(walk), [])
+    again = opened(written, address="#" + walk.url.partition("#")[2])
+    assert state(again) == state(walk)
     assert again.locator("#table thead").inner_text().count("file’s question") == 1
     command = again.locator("#command").input_value()
     assert command.endswith("--set 'scene.tow_speed=\"9 km/h\"'")
-    again.context.close()
 
 
 def test_two_pages_in_one_browser_do_not_meddle(walk, written):
@@ -305,15 +313,13 @@ def test_hostile_names_are_texts(walk):
     assert walk.locator("img").count() == 0
 
 
-def test_a_phone_in_the_dark_and_paper_show_the_page(browser, written):
-    page, said, _ = open_page(browser, written, 390, 844, "#explore", color_scheme="dark")
+def test_a_phone_in_the_dark_and_paper_show_the_page(opened, written):
+    page = opened(written, 390, 844, "#explore", color_scheme="dark")
     assert page.evaluate("document.documentElement.scrollWidth") == 390
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 25, 31)"
     page.emulate_media(media="print")
     assert not page.locator("#explore").is_visible()
     assert page.locator("#answer").is_visible()
-    assert said == []
-    page.context.close()
 
 
 @pytest.mark.slow
@@ -353,10 +359,10 @@ def test_a_scene_that_the_page_cannot_compute_stays_a_report(browser, tmp_path):
     page.close()
 
 
-def test_several_shares_move_together_and_alone(browser, tmp_path):
+def test_several_shares_move_together_and_alone(opened, tmp_path):
     fixed = ["share.wedge_angle=39 deg", "scene.stiffness=80 kN/m", "scene.duration=0.5 s"]
     problem = po.read_problem(PROBLEMS / "two_shares.toml", fixed)
-    page, said, _ = open_page(browser, po.explore(problem, tmp_path / "frame.html"))
+    page = opened(po.explore(problem, tmp_path / "frame.html"))
     page.get_by_label("share height, rear in m").fill("0,33")
     page.evaluate("ploughOpt.set({ 'soil.cohesion': 25e3, 'rear.soil.cohesion': 16e3 })")
     settled(page)
@@ -373,8 +379,6 @@ def test_several_shares_move_together_and_alone(browser, tmp_path):
     rows = list(csv.reader(download.value.path().read_text().splitlines()))
     column = rows[0].index("rear.mount_force [N]")
     assert [float(row[column]) for row in rows[1:]] == pytest.approx(machine.runs["rear"].mount_force, rel=1e-6)
-    assert said == []
-    page.context.close()
 
 
 def test_a_frame_without_an_objective_is_refused_with_the_way_out(tmp_path):
@@ -383,19 +387,17 @@ def test_a_frame_without_an_objective_is_refused_with_the_way_out(tmp_path):
         po.explore(problem, tmp_path / "frame.html")
 
 
-def test_a_file_without_variables_has_controls_and_no_landscape(browser, tmp_path):
+def test_a_file_without_variables_has_controls_and_no_landscape(opened, tmp_path):
     file = tmp_path / "still.toml"
     fixed = STATIC.partition("[variables]")[0].replace("[scene]", 'height = "0.25 m"\n[scene]')
     file.write_text(fixed, encoding="utf-8")
-    page, said, _ = open_page(browser, po.explore(file, tmp_path / "still.html"))
+    page = opened(po.explore(file, tmp_path / "still.html"))
     page.get_by_label("cohesion in kPa").fill("30")
     settled(page)
     run = po.read_problem(file).simulate({"soil.cohesion": 3e4})
     assert cell(page, "mean draft") == f"{run.mean_draft / 1e3:.4g} kN"
     assert not page.locator("#now_cloud").is_visible()
     assert page.locator("#command").input_value().endswith("""simulate 'still.toml' --set 'soil.cohesion="30 kPa"'""")
-    assert said == []
-    page.context.close()
 
 
 def test_the_command_opens_the_page_in_the_cache_folder(tmp_path, monkeypatch):

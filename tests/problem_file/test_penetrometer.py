@@ -3,7 +3,6 @@
 import json
 import math
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -258,12 +257,12 @@ def test_a_record_becomes_its_spectrum(read, record):
     assert broad.stationary_force_rms < scene.stationary_force_rms
 
 
-def test_it_is_a_column_of_sweeps_and_an_output_of_components(read):
+def test_it_is_a_column_of_sweeps_and_an_output_of_components(read, inline):
     problem = read(written(), "scene.duration=0.2 s", "scene.outputs=20")
     over = {"effects.random_strength.rms": [0.1, 0.2], "scene.stiffness": [4e4, 8e4]}
     tables = []
     for method in ("each", "batch"):
-        with ThreadPoolExecutor(1) as inline, po.sweep(problem, over, method=method, executor=inline) as found:
+        with po.sweep(problem, over, method=method, executor=inline) as found:
             tables.append(found.table)
     made = problem.component([*over], [*NAMES])
     for k in range(4):

@@ -1,20 +1,12 @@
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 TESTS = Path(__file__).parents[1]
 ROOT = TESTS.parent
-
-
-@pytest.fixture(scope="session")
-def inline():
-    """Return an executor in this process."""
-    with ThreadPoolExecutor(1) as executor:
-        yield executor
 
 
 @pytest.fixture

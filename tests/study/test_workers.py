@@ -13,8 +13,9 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -208,25 +209,12 @@ def test_neither_command_nor_workers_import_from_the_current_folder(tmp_path):
     assert "2 points, 0 failed" in done.stdout
 
 
-class Sizes:
-    """An evaluation of many points that records the sizes of its tasks."""
-
-    results = ("x",)
-
-    def __init__(self):
-        self.seen = []
-
-    def many(self, values):
-        self.seen.append(len(values))
-        return values.copy(), {}, []
-
-
-def test_tasks_of_a_slow_batch_do_not_shrink(monkeypatch):
+def test_tasks_of_a_slow_batch_do_not_shrink(inline, monkeypatch):
     monkeypatch.setattr(engine, "_TASK_SECONDS", 0.0)  # as if a design took hours
-    sizes = Sizes()
-    with ThreadPoolExecutor(1) as executor:
-        po.sweep(sizes, {"a": po.Range(0.0, 1.0, 2048)}, executor=executor, workers=1).close()
-    assert sizes.seen == [64] * 32
+    sizes = []
+    many = SimpleNamespace(results=("x",), many=lambda values: sizes.append(len(values)) or (values.copy(), {}, []))
+    po.sweep(many, {"a": po.Range(0.0, 1.0, 2048)}, executor=inline, workers=1).close()
+    assert sizes == [64] * 32
 
 
 # --- the same sweep on a dask cluster, one of whose workers is killed, and on MPI ---

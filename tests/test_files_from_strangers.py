@@ -5,8 +5,10 @@ import hashlib
 import json
 import os
 import sys
+import tomllib
 import types
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 from helpers.commands import call, printed
@@ -16,26 +18,10 @@ from helpers.scenes import Shank, scene_of
 import plough_opt as po
 from plough_opt.core.expressions import exp
 
-# Names of functions and classes that are imported while a result is read, each of which does more than return a number.
-DANGEROUS = [
-    *("os:system", "posix:system", "os:remove", "os:_exit", "os.path:os.system", "shutil:rmtree", "builtins:exec"),
-    *("builtins:print", "builtins:getattr", "subprocess:run", "subprocess:Popen", "subprocess:Popen.__init__"),
-    *("sys:exit", "sys:settrace", "importlib:import_module", "runpy:run_path", "pathlib:Path", "pathlib:Path.unlink"),
-    *("functools:partial", "types:FunctionType", "pickle:loads", "pickle:Unpickler", "pdb:set_trace", "code:interact"),
-    *("plough_opt.core.files:os.system", "plough_opt.core.files:write_file", "plough_opt.core.files:write_files"),
-    *("plough_opt.core.files:shutil.rmtree", "plough_opt.core.files:Path", "plough_opt.core.compiler:subprocess.run"),
-    *("plough_opt.core.saving:Saveable.save", "plough_opt.core.saving:Origin.restore", "plough_opt:load"),
-    *("plough_opt.core.process:load_additions", "plough_opt:simulate", "plough_opt.export:write_fmu"),
-    *("plough_opt_command:main", "plough_opt.app.main:main", "plough_opt.motion.run:Run", "plough_opt:Scene"),
-    *("numpy:save", "numpy:fromfile", "numpy:os.system", "numpy.lib._npyio_impl:save", "numpy:ndarray.tofile"),
-    *("casadi:Function.load", "casadi:Importer", "matplotlib.pyplot:savefig", "matplotlib:use", "rich:print"),
-    *("pytest:main", "_pytest.config:main", "helpers.scenes:Shank.__class__.__subclasses__"),
-    *("helpers.scenes:dataclass", "helpers.scenes:po.simulate", "helpers:scenes.Shank.force"),
-    *("helpers.scenes:Shank.force.__globals__", "helpers.scenes:Shank.__init__.__globals__", "__main__:__builtins__"),
-    *(f"{__name__}:po.core.files.os.system", f"{__name__}:json.dumps", f"{__name__}:BORROWED", f"{__name__}:ALIAS"),
-    *(f"{__name__}:Plain", f"{__name__}:Careless", f"{__name__}:INSTANCE", f"{__name__}:Plain.force"),
-    *(":", "a:", ":b", "", "a", "a:b:c", "a b:c", "\x1b:c"),
-]  # fmt: skip
+NAMES = tomllib.loads(Path(__file__).with_name("strangers.toml").read_text(encoding="utf-8"))
+OWN = "po.core.files.os.system json.dumps BORROWED ALIAS Plain Careless INSTANCE Plain.force"
+# Imported while a result is read.
+DANGEROUS = [*NAMES["dangerous"], *(f"{__name__}:{name}" for name in OWN.split())]
 called = []
 acts = []  # what programs are started and what is written, while a list is there
 
@@ -202,22 +188,12 @@ def with_origin(path, **changes):
     return path
 
 
-ELSEWHERE = [
-    *("../x", "/tmp/x", "a/../../x", "a/../b", "..", ".", "", "/", "//host/share/x", "C:x", "C:\\x", "a\\..\\b", "\\x"),
-    *("\\\\host\\share\\x", "\\\\?\\C:\\x", "a:stream", "NUL", "con.csv", "COM1", "a/lpt9.txt/b", "a.", "a ", "a/ /b"),
-    *("link/x", "link/deep/x", ".bashrc", ".ssh/authorized_keys", "a/.git/config", "numpy.py", "a/b.PY"),
-    *("subsoiler.TOML", "cotton_subsoiler.toml/x", "a\nb", "a\0b", "a\x1bb", "~/.profile", "a\u202eb"),
-    *("a<b", "a>b", 'a"b', "a|b", "a?b", "a*b", "x/a*/b", "-rf", "x/--help", "a.pyd", "x/a.SO", "a.pyw", "a.pth"),
-    *("con.txt", "x/nul", "Aux.csv/x", "lpt1", "CONIN$"),
-]  # fmt: skip
-
-
 @pytest.mark.parametrize("place", ["file", "data"])
 def test_a_problem_is_restored_below_its_folder(tmp_path, place):
     """Names that lead elsewhere on any system, by themselves or by links, leave nothing anywhere."""
     outside = tmp_path / "outside"
     outside.mkdir()
-    for number, name in enumerate(ELSEWHERE):
+    for number, name in enumerate(NAMES["elsewhere"]):
         given = {"file": name} if place == "file" else {"data": {"fine.csv": "a", name: "b"}}
         path, target = with_origin(tmp_path / "a.json", **given), tmp_path / "in" / str(number)
         target.mkdir(parents=True)

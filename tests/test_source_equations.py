@@ -319,27 +319,6 @@ def test_equation_27_with_an_attracting_spring():
 # --- errata: the printed form fails where the derived form holds ---
 
 
-def printed_coefficients(cone, soil):
-    """Return A [Pa], B and C [-] of (26) as printed: with pi twice, 1/3, and divisions by nu and b1."""
-    mu, slope, b1 = math.sin(soil.friction_angle), cone.slope, soil.density_ratio
-    nu, tau0, a = 2.0 * mu / (1.0 + mu), 2.0 * soil.cohesion * math.cos(soil.friction_angle), 1.0 / (1.0 - b1)
-    growth, decay = a ** (nu / 2.0), a ** (nu / 2.0 - 1.0)
-    bracket = (nu - 2.0) / nu * (growth - 1.0) + b1 * (nu - 2.0) * growth - (decay - 1.0)
-    static = soil.strength_factor * (soil.ambient_pressure + tau0 / (nu * (1.0 + mu))) * (growth - 1.0)
-    return (
-        math.pi * slope**2 * static,
-        math.pi * slope**4 / (b1 * (nu - 2.0)) * bracket,
-        math.pi * slope**4 / (3.0 * b1 * nu) * (growth - 1.0),
-    )
-
-
-def printed_resistance(cone, soil, speed, acceleration):
-    """Return F [N] of (25) with these coefficients."""
-    a, b, c = printed_coefficients(cone, soil)
-    motion = b * soil.density * speed**2 + soil.density * c * cone.height * acceleration
-    return math.pi * (1.0 + soil.tool_friction / cone.slope) * (a + motion) * cone.height**2
-
-
 def imbalance_across(factor):
     """Return the residual of d sigma_xy/dx + d sigma_yy/dy = rho V0^2 uy_xx over its largest term.
 
@@ -410,36 +389,6 @@ def test_24_needs_the_ambient_pressure():
     # The net force on a share at rest in soil without strength is zero, because face and back are under equal pressure.
     weak = po.Soil(1350.0, 0.6, 0.0, 0.0, 0.5, PA)
     assert po.resistance(CONE, weak, 0.0, 0.0) == pytest.approx(0.0, abs=1e-12 * PA * CONE.height**2)
-
-
-def test_25_and_26_count_pi_twice():
-    ratio = printed_resistance(CONE, SOIL, 2.0, 0.0) / po.resistance(CONE, SOIL, 2.0, 0.0)
-    assert ratio == pytest.approx(math.pi, rel=1e-12)
-
-
-def test_26_has_a_third_for_two_thirds():
-    printed, derived = printed_coefficients(CONE, SOIL), po.resistance_coefficients(CONE, SOIL)
-    assert printed[2] / (math.pi * derived.C) == pytest.approx(0.5, rel=1e-12)
-    # The inertial part of (24) is an integral of x^2, h^3/3; the factored h^2/2 leaves 2 h/3.
-    assert integral(lambda x: x**2, 0.0, 1.0) / (1.0 / 2.0) == pytest.approx(2.0 / 3.0, rel=1e-14)
-
-
-def motion(formulation, duration):
-    effects = po.Effects(start="rest", inertial_drag=False, formulation=formulation)
-    scene = po.Scene(SOIL, SHARE, 5e4, 20.0, 2.0, effects)
-    return scene, po.simulate(scene, duration)
-
-
-def test_27_with_its_printed_spring_runs_away():
-    scene, printed = motion(po.Printed(pi_twice=False, one_third=False), 0.3)
-    _, derived = motion("derived", 0.3)
-    omega = scene.natural_frequency
-    # The solution of z'' = F0/M + omega^2 z grows without bound, like cosh and sinh of omega t.
-    rest = scene.reaction.static / 5e4
-    grown = rest * (math.cosh(omega * 0.3) - 1.0) + 2.0 / omega * math.sinh(omega * 0.3)
-    assert printed.deflection[-1] == pytest.approx(grown, rel=1e-7)
-    assert np.max(np.abs(derived.deflection)) <= rest + math.hypot(rest, 2.0 / omega)
-    assert grown > 10.0 * np.max(np.abs(derived.deflection))
 
 
 # --- the effects of the printed errors on a scene ---

@@ -13,13 +13,16 @@
   const initial = inputs.map((one) => model.best[one.name] ?? one.value);
   /* A design of the user's own has no motion that the page knows, and one of several shares no single scene. */
   const single = Boolean(model.tables), panels = Object.entries(model.panels), peaks = single ? [
-    { ...model.panels.force, name: "peak_force", label: `peak mount force${model.without}` }, { ...model.panels.deflection, name: "peak_deflection", label: `peak deflection${model.without}` },
+    { ...model.panels.force, name: "peak_force", label: `peak mount force${model.without}` },
+    { ...model.panels.deflection, name: "peak_deflection", label: `peak deflection${model.without}` },
     ...(model.orbit ? [{ name: "floquet", label: "largest Floquet multiplier (below 1: the orbit is stable)", symbol: "", factor: 1 },
-      { name: "unsettled", label: "distance from the orbit after 200 wavelengths from equilibrium (0 %: the share comes to it)", symbol: "%", factor: 0.01 }] : [])] : [];
+      { name: "unsettled", symbol: "%", factor: 0.01,
+        label: "distance from the orbit after 200 wavelengths from equilibrium (0 %: the share comes to it)" }] : [])] : [];
   const columns = [...inputs.filter((one) => one.variable), ...model.results, ...peaks];
   /* A design as one function takes as many steps as its runs; the engine takes fewer for the landscape. */
   const DESIGNS = single ? 2000 : 500, CHUNK = 50, CURVE = 61, MOST_PINS = 4, COLOURS = ["#d55e00", "#009e73", "#cc79a7", "#e69f00"];
-  let x = [...initial], effects = "", now = null, best = null, marks = [], error = model.error, pins = [], cloud = [], curve = [], computedFor = "", refused = "";
+  let x = [...initial], effects = "", now = null, best = null, marks = [], error = model.error, pins = [];
+  let cloud = [], curve = [], computedFor = "", refused = "";
 
   /* Workers: one answers the controls, the other samples, so that a move never waits. */
   const text = `const MODEL = ${JSON.stringify(model)};\n${place("engine").textContent}`;
@@ -41,22 +44,27 @@
   const shown = (one, value) => withUnit(value / one.factor, pretty(one.symbol)).replace(" °", "°");
   const percent = (change) => `${change > 0 ? "+" : ""}${number(100 * change)} %`;
   /* Values at positions from 0 to 1 between the bounds; a catalogue has equal distances between its entries. */
-  const value = (one, u) => one.steps?.length > 1 ? one.steps[Math.round(u * (one.steps.length - 1))] : one.log ? one.lower * (one.upper / one.lower) ** u : one.lower + u * (one.upper - one.lower);
+  const value = (one, u) => one.steps?.length > 1 ? one.steps[Math.round(u * (one.steps.length - 1))]
+    : one.log ? one.lower * (one.upper / one.lower) ** u : one.lower + u * (one.upper - one.lower);
   const nearest = (steps, v) => steps.reduce((best, each, k) => Math.abs(each - v) < Math.abs(steps[best] - v) ? k : best, 0);
-  const part = (one, v) => one.steps?.length > 1 ? nearest(one.steps, v) / (one.steps.length - 1) : one.log ? Math.log(v / one.lower) / Math.log(one.upper / one.lower) : (v - one.lower) / (one.upper - one.lower);
+  const part = (one, v) => one.steps?.length > 1 ? nearest(one.steps, v) / (one.steps.length - 1)
+    : one.log ? Math.log(v / one.lower) / Math.log(one.upper / one.lower) : (v - one.lower) / (one.upper - one.lower);
   const keyed = (values) => Object.fromEntries(inputs.map((one, k) => [one.name, values[k]]));
   const inOrder = (given) => inputs.map((one, k) => given[one.name] ?? x[k]);
   /* Values that a script gives; an error names the one that is no quantity or no number. */
   function requested(given) {
     for (const [name, value] of Object.entries(given)) {
       if (!inputs.some((one) => one.name === name)) throw new RangeError(`there is no quantity "${name}": use ${inputs.map((one) => one.name).join(", ")}`);
-      if (value !== undefined && !Number.isFinite(value)) throw new TypeError(`${name} = ${typeof value === "string" ? JSON.stringify(value) : value} is not a finite number: give one in SI units`);
+      if (value === undefined || Number.isFinite(value)) continue;
+      const written = typeof value === "string" ? JSON.stringify(value) : value;
+      throw new TypeError(`${name} = ${written} is not a finite number: give one in SI units`);
     }
     return inOrder(given);
   }
 
   /* The design in the address: the values that differ from the start. */
-  const address = (values) => ["explore", ...(effects ? [`effects=${effects}`] : []), ...inputs.flatMap((one, k) => values[k] === initial[k] ? [] : [`${one.name}=${values[k]}`])].join("&");
+  const address = (values) => ["explore", ...(effects ? [`effects=${effects}`] : []),
+    ...inputs.flatMap((one, k) => values[k] === initial[k] ? [] : [`${one.name}=${values[k]}`])].join("&");
   function addressed() {
     const given = new Map(location.hash.slice(1).split("&").map((one) => { const [name, v] = one.split("="); return [name, v]; }));
     effects = given.get("effects") in model.variants ? given.get("effects") : "";
@@ -85,13 +93,15 @@
 
   /* Controls: a slider and a field for each quantity, in the file's units. */
   const controls = inputs.map((one, k) => {
-    const slider = make("input", { type: "range", min: "0", max: String(one.steps?.length > 1 ? one.steps.length - 1 : 1000), step: "1", ariaLabel: one.label });
+    const most = String(one.steps?.length > 1 ? one.steps.length - 1 : 1000);
+    const slider = make("input", { type: "range", min: "0", max: most, step: "1", ariaLabel: one.label });
     const field = make("input", { type: "text", inputMode: "decimal", ariaLabel: `${one.label} in ${one.symbol || "no unit"}` });
     const wrong = make("span", { className: "wrong" }), more = make("span", { className: "small" });
     slider.addEventListener("input", () => move(k, value(one, slider.value / slider.max), field));
     field.addEventListener("input", () => move(k, Number(field.value.trim().replace(",", ".") || NaN) * one.factor, slider));
     for (const each of [slider, field]) each.addEventListener("change", () => { write(k); if (!wrong.textContent) commit(); });
-    return { slider, field, wrong, more, row: make("div", { className: "control" }, make("span", { textContent: one.label }), slider, field, make("span", { textContent: pretty(one.symbol) }), wrong, more) };
+    const cells = [make("span", { textContent: one.label }), slider, field, make("span", { textContent: pretty(one.symbol) }), wrong, more];
+    return { slider, field, wrong, more, row: make("div", { className: "control" }, ...cells) };
   });
   for (const group of new Set(inputs.map((one) => one.group))) {
     const rows = inputs.flatMap((one, k) => one.group === group ? [controls[k].row] : []);
@@ -100,14 +110,18 @@
   }
   /* Effects on and off: a key of the variants lists the numbers of those that are switched. */
   const switchedIn = (key) => key ? key.split(",").map(Number) : [];
-  const toggled = (k) => { const which = switchedIn(effects); return (which.includes(k) ? which.filter((one) => one !== k) : [...which, k].sort((a, b) => a - b)).join(","); };
+  const toggled = (k) => {
+    const which = switchedIn(effects);
+    return (which.includes(k) ? which.filter((one) => one !== k) : [...which, k].sort((a, b) => a - b)).join(",");
+  };
   const described = (key) => switchedIn(key).map((k) => `${model.switches[k].on ? "without" : "with"} ${model.switches[k].label}`).join(", ");
   const switches = model.switches.map((one, k) => {
     const box = make("input", { type: "checkbox" }), says = make("span", { className: "small" });
     box.addEventListener("change", () => { effects = toggled(k); take(x); });
     return { ...one, box, says, row: make("div", { className: "switch" }, make("label", {}, box, ` ${one.label}`), says) };
   });
-  const terms = make("details", { ontoggle: () => { if (now) later(); } }, make("summary", { textContent: "terms of the equation: effects on and off" }), ...switches.map(({ row }) => row));
+  const terms = make("details", { ontoggle: () => { if (now) later(); } },
+    make("summary", { textContent: "terms of the equation: effects on and off" }), ...switches.map(({ row }) => row));
   if (switches.length) place("controls").append(terms);
   place("controls").addEventListener("submit", (event) => event.preventDefault());
   function write(k, but) {
@@ -164,10 +178,14 @@
   function show(values, under, found) {
     now = { x: values, effects: under, ...found };
     refuse("");
-    place("accuracy-now").textContent = `estimated error ${found.error_estimate > 0 ? found.error_estimate.toExponential(0) : "below 1e-15"}${single ? `, ${found.steps} steps` : " of the objective, at the best design"}, ${number(1000 * found.seconds)} ms`;
+    const digits = found.error_estimate > 0 ? found.error_estimate.toExponential(0) : "below 1e-15";
+    const how = single ? `, ${found.steps} steps` : " of the objective, at the best design";
+    place("accuracy-now").textContent = `estimated error ${digits}${how}, ${number(1000 * found.seconds)} ms`;
     place("lights").replaceChildren(...model.requirements.map((one, k) => {
       const { value: v, margin } = found.requirements[k], rounding = 1e-8 * Math.abs(v), met = margin >= -rounding;
-      return make("li", {}, make("span", { className: `tag ${met ? "good" : "bad"}`, textContent: met ? "✓ met" : "✗ fails" }), ` ${one.label} ${shown(one, v)}, ${pretty(one.words)}, margin ${shown(one, Math.abs(margin) <= rounding ? 0 : margin)}`);
+      const light = make("span", { className: `tag ${met ? "good" : "bad"}`, textContent: met ? "✓ met" : "✗ fails" });
+      const left = shown(one, Math.abs(margin) <= rounding ? 0 : margin);
+      return make("li", {}, light, ` ${one.label} ${shown(one, v)}, ${pretty(one.words)}, margin ${left}`);
     }));
     draw();
     if (solid) solid(solids(values, found));
@@ -183,7 +201,10 @@
   const of = (design, one) => design[one.name] ?? design.x[inputs.findIndex((each) => each.name === one.name)];
   function table() {
     const designs = [[nowName(), now], ...(best ? [[dated(model.known, asked), best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
-    const head = designs.map(([name, design]) => make("th", { scope: "col" }, [name, described(design.effects)].filter(Boolean).join(", "), ...(pins.includes(design) ? [make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); } })] : [])));
+    const unpin = (design) => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); };
+    const remove = (name, design) => make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => unpin(design) });
+    const head = designs.map(([name, design]) => make("th", { scope: "col" }, [name, described(design.effects)].filter(Boolean).join(", "),
+      ...(pins.includes(design) ? [remove(name, design)] : [])));
     if (best) head.splice(1, 0, make("th", { scope: "col", textContent: `from ${model.known}` }));
     place("table").tHead.replaceChildren(make("tr", {}, make("th", { scope: "col" }), ...head));
     place("table").tBodies[0].replaceChildren(...columns.map((one) => {
@@ -197,14 +218,17 @@
   const charts = {};
   const listed = () => [now, ...pins];
   /* Each curve of a picture: the place of its design among those listed, and the name of the result. */
-  const curvesOf = ({ rows }) => listed().flatMap((design, k) => rows.map((name, j) => ({ k, name, design, colour: ["#0072b2", ...COLOURS][(k * rows.length + j) % 5] })));
+  const curvesOf = ({ rows }) => listed().flatMap((design, k) => rows.map((name, j) =>
+    ({ k, name, design, colour: ["#0072b2", ...COLOURS][(k * rows.length + j) % 5] })));
   function rebuild() {
     for (const [key, panel] of panels) {
       const id = `now_${key}`, { time } = now.rows;
       if (charts[id]) charts[id].u.destroy();
       charts[id] = build({ id, x: { label: "time", unit: "s", values: [...time] }, y: { label: panel.label, unit: pretty(panel.symbol) },
-        lines: model.requirements.filter((one) => panel.rows.includes(one.name)).flatMap((one) => [one.low, one.high]).filter((end) => end !== null).map((end) => ({ label: "limit", value: end / panel.factor, colour: "#d55e00", dash: "" })),
-        series: curvesOf(panel).map(({ k, name, colour }) => ({ label: [k ? `pin ${k}` : nowName(), ...name.split(".").slice(0, -1)].join(", "), colour, dash: k ? "dash" : "", values: [...time] })) });
+        lines: model.requirements.filter((one) => panel.rows.includes(one.name)).flatMap((one) => [one.low, one.high])
+          .filter((end) => end !== null).map((end) => ({ label: "limit", value: end / panel.factor, colour: "#d55e00", dash: "" })),
+        series: curvesOf(panel).map(({ k, name, colour }) => ({
+          label: [k ? `pin ${k}` : nowName(), ...name.split(".").slice(0, -1)].join(", "), colour, dash: k ? "dash" : "", values: [...time] })) });
     }
     draw();
   }
@@ -212,7 +236,10 @@
     if (panels.length && !charts.now_force) { rebuild(); return; }
     for (const [key, panel] of panels) {
       const { time } = now.rows, last = time.length - 1;
-      const along = ({ design: { rows }, name }) => Array.from(time, (t) => { const k = Math.round(t / rows.time[last] * last); return k <= last ? rows[name][k] / panel.factor : null; });
+      const along = ({ design: { rows }, name }) => Array.from(time, (t) => {
+        const k = Math.round(t / rows.time[last] * last);
+        return k <= last ? rows[name][k] / panel.factor : null;
+      });
       charts[`now_${key}`].u.setData([[...time], ...curvesOf(panel).map(along)]);
     }
   }
@@ -225,8 +252,12 @@
     const [side, below] = [width * Math.sin(half), width * Math.cos(half)], end = [ridge * Math.cos(chisel), ridge * Math.sin(chisel)];
     const corner = [end[0] + below * Math.sin(chisel), end[1] - below * Math.cos(chisel)];
     const share = [0, 0, 0, end[0], 0, end[1], corner[0], side, corner[1], corner[0], -side, corner[1]];
-    const scaled = (body, radius) => { const rim = Math.max(...body.vertices.filter((_, i) => i % 3 === 1)), long = Math.max(...body.vertices.filter((_, i) => i % 3 === 0)); return body.vertices.map((v, i) => i % 3 ? v / rim * radius : v / long * h); };
-    return DATA.bodies.map((body) => ({ ...body, vertices: body.id === "share" ? share : scaled(body, body.id === "cone" ? h * slope : found.loosened_radius) }));
+    const scaled = ({ vertices }, radius) => {
+      const [long, rim] = [0, 1].map((axis) => Math.max(...vertices.filter((_, i) => i % 3 === axis)));
+      return vertices.map((v, i) => i % 3 ? v / rim * radius : v / long * h);
+    };
+    return DATA.bodies.map((body) => ({ ...body,
+      vertices: body.id === "share" ? share : scaled(body, body.id === "cone" ? h * slope : found.loosened_radius) }));
   }
   const solid = single && solidView(place("now_solid"), DATA.bodies);
 
@@ -239,22 +270,38 @@
   });
   /* Seeded random numbers from 0 to 1 (mulberry32), so that a design can be clicked again on a later visit. */
   let seed = 33;
-  const random = () => { seed = (seed + 0x6d2b79f5) | 0; let r = Math.imul(seed ^ (seed >>> 15), 1 | seed); r = (r + Math.imul(r ^ (r >>> 7), 61 | r)) ^ r; return ((r ^ (r >>> 14)) >>> 0) / 2 ** 32; };
+  function random() {
+    seed = (seed + 0x6d2b79f5) | 0;
+    let r = Math.imul(seed ^ (seed >>> 15), 1 | seed);
+    r = (r + Math.imul(r ^ (r >>> 7), 61 | r)) ^ r;
+    return ((r ^ (r >>> 14)) >>> 0) / 2 ** 32;
+  }
   const sampled = () => x.map((v, k) => variables.includes(k) ? value(inputs[k], random()) : v);
   let timer = 0, seen = false, turn = 0;
   const later = () => { clearTimeout(timer); timer = setTimeout(sample, 150); };
   async function sample() {
     const mine = ++turn, asked = now.x, under = now.effects;
     if (terms.open) for (const [k, { says, box }] of switches.entries()) {
-      const key = toggled(k), known = await slow("evaluate", under, asked, { error, warm: true }), other = key in model.variants && await slow("evaluate", key, asked, { error, warm: true }).catch(() => null);
+      const key = toggled(k), known = await slow("evaluate", under, asked, { error, warm: true });
+      const other = key in model.variants && await slow("evaluate", key, asked, { error, warm: true }).catch(() => null);
       if (mine !== turn) return;
-      const parts = ["mean_draft", "force_rms", "mean_deflection"].map((name) => `${columns.find((one) => one.name === name).label} ${percent((other[name] - known[name]) / (Math.abs(known[name]) || 1))}`);
-      says.textContent = other ? `${box.checked ? "without" : "with"} it: ${parts.join(", ")}; ${model.variants[key].nodes} operations in the equation instead of ${model.variants[under].nodes}, ${other.steps} steps instead of ${known.steps}, ${number(1000 * other.seconds)} ms instead of ${number(1000 * known.seconds)} ms` : "not on this page: another effect or a result of the file needs it, or the formulas would be too long";
+      if (!other) {
+        says.textContent = "not on this page: another effect or a result of the file needs it, or the formulas would be too long";
+        continue;
+      }
+      const parts = ["mean_draft", "force_rms", "mean_deflection"].map((name) =>
+        `${columns.find((one) => one.name === name).label} ${percent((other[name] - known[name]) / (Math.abs(known[name]) || 1))}`);
+      const nodes = `${model.variants[key].nodes} operations in the equation instead of ${model.variants[under].nodes}`;
+      const time = `${number(1000 * other.seconds)} ms instead of ${number(1000 * known.seconds)} ms`;
+      says.textContent = `${box.checked ? "without" : "with"} it: ${parts.join(", ")}; ${nodes}, ${other.steps} steps instead of ${known.steps}, ${time}`;
     }
     const nudged = await slow("many", under, variables.map((k) => asked.map((v, i) => i === k ? 1.01 * v : v)).concat([asked]));
     if (mine !== turn) return;
     const base = nudged.pop();
-    variables.forEach((k, i) => { controls[k].more.textContent = nudged[i] && base && model.objective ? `1 % more: objective ${percent((nudged[i].objective - base.objective) / Math.abs(base.objective))}` : ""; });
+    const gain = (one) => percent((one.objective - base.objective) / Math.abs(base.objective));
+    variables.forEach((k, i) => {
+      controls[k].more.textContent = nudged[i] && base && model.objective ? `1 % more: objective ${gain(nudged[i])}` : "";
+    });
     if (!seen || !variables.length) return;
     const k = inputs.findIndex((one) => one.name === columns[axes[0].value].name);
     const line = k < 0 ? [] : Array.from({ length: CURVE }, (_, i) => asked.map((v, j) => j === k ? value(inputs[k], i / (CURVE - 1)) : v));
@@ -273,26 +320,36 @@
   }
   function scatter() {
     const [across, up] = axes.map((select) => columns[select.value]);
-    const group = (label, colour, size, designs) => ({ label, colour, size, x: designs.map((one) => of(one, across) / across.factor), y: designs.map((one) => of(one, up) / up.factor) });
+    const group = (label, colour, size, designs) => ({ label, colour, size,
+      x: designs.map((one) => of(one, across) / across.factor), y: designs.map((one) => of(one, up) / up.factor) });
     /* Designs of a very bad objective would press the others to the axis: the better half is drawn. */
     const found = cloud.filter(Boolean), half = up.name === "objective" ? [...found].sort((a, b) => a.objective - b.objective)[found.length >> 1] : null;
     const every = half ? found.filter((one) => one.objective <= half.objective || one.violation <= 1e-6) : found;
-    place("sample").textContent = `${every.length} of ${found.length} designs${half ? "; of those that fail a requirement only those in the better half of the objective are drawn" : ""}`;
+    const without = half ? "; of those that fail a requirement only those in the better half of the objective are drawn" : "";
+    place("sample").textContent = `${every.length} of ${found.length} designs${without}`;
     if (charts.cloud) charts.cloud.u.destroy();
-    charts.cloud = build({ id: "now_cloud", x: { label: across.label, unit: pretty(across.symbol), log: across.log }, y: { label: up.label, unit: pretty(up.symbol) }, groups: [
-      group("fails a requirement", "#b5bcc2", 3, every.filter((one) => one.violation > 1e-6)), group("meets all requirements", "#56b4e9", 4, every.filter((one) => one.violation <= 1e-6)),
-      group("through the present design", "#0072b2", 3, curve), ...model.marks.map(({ label, colour }) => group(dated(label), colour, 8, marks.filter((one) => one.label === label))),
+    const axis = ({ label, symbol }) => ({ label, unit: pretty(symbol) });
+    charts.cloud = build({ id: "now_cloud", x: { ...axis(across), log: across.log }, y: axis(up), groups: [
+      group("fails a requirement", "#b5bcc2", 3, every.filter((one) => one.violation > 1e-6)),
+      group("meets all requirements", "#56b4e9", 4, every.filter((one) => one.violation <= 1e-6)),
+      group("through the present design", "#0072b2", 3, curve),
+      ...model.marks.map(({ label, colour }) => group(dated(label), colour, 8, marks.filter((one) => one.label === label))),
       ...(best ? [group(dated(model.known), "#000000", 11, [best])] : []), group(nowName(), "#d55e00", 10, [now])].filter((one) => one.x.length) });
   }
   place("now_cloud").addEventListener("click", (event) => {
     if (!(/** @type {any} */ (event.target).closest(".u-over"))) return;
     const { u } = charts.cloud, [across, up] = axes.map((select) => columns[select.value]), at = u.over.getBoundingClientRect();
-    const far = (one) => Math.hypot(u.valToPos(of(one, across) / across.factor, "x") + at.left - event.clientX, u.valToPos(of(one, up) / up.factor, "y") + at.top - event.clientY);
+    const far = (one) => Math.hypot(u.valToPos(of(one, across) / across.factor, "x") + at.left - event.clientX,
+      u.valToPos(of(one, up) / up.factor, "y") + at.top - event.clientY);
     const near = [...cloud.filter(Boolean), ...marks, ...(best ? [best] : [])].reduce((a, b) => !a || far(b) < far(a) ? b : a, null);
     if (near && far(near) < 25) take(x.map((v, k) => variables.includes(k) ? near.x[k] : v));
   });
   place("now_cloud").hidden = !variables.length;
-  new IntersectionObserver((entries) => { if (entries.some((one) => one.isIntersecting) && !seen) { seen = true; if (now) later(); } }).observe(place("now_cloud"));
+  new IntersectionObserver((entries) => {
+    if (seen || !entries.some((one) => one.isIntersecting)) return;
+    seen = true;
+    if (now) later();
+  }).observe(place("now_cloud"));
 
   /* What leaves the page: the command, the problem file, tables, the solid. */
   /* Where a quantity stands in the file: one of a single share in that share's table. */
@@ -302,9 +359,12 @@
   /* Entries of problem files that switch effects as they are now. */
   const settings = () => switchedIn(now.effects).flatMap((k) => model.switches[k].settings);
   const command = () => [`plough-opt ${model.command} ${quoted(model.file)}`, ...model.overrides.map((one) => `--set ${quoted(one)}`),
-    ...inputs.flatMap((one, k) => !(one.variable && model.certifies) && now.x[k] !== initial[k] && !settings().some(([key]) => key === one.name) ? [`--set ${quoted(`${path(one)}="${written(k)}"`)}`] : []),
+    ...inputs.flatMap((one, k) => !(one.variable && model.certifies) && now.x[k] !== initial[k] && !settings().some(([key]) => key === one.name)
+      ? [`--set ${quoted(`${path(one)}="${written(k)}"`)}`] : []),
     ...settings().map(([key, v]) => `--set ${quoted(`${key}=${toml(v)}`)}`)].join(" ");
-  const toml = (v) => Array.isArray(v) ? `[${v.map(toml).join(", ")}]` : v !== null && typeof v === "object" ? `{ ${Object.entries(v).map(([key, each]) => `${JSON.stringify(key)} = ${toml(each)}`).join(", ")} }` : JSON.stringify(v);
+  const pairs = (table) => Object.entries(table).map(([key, v]) => `${JSON.stringify(key)} = ${toml(v)}`);
+  const toml = (v) => Array.isArray(v) ? `[${v.map(toml).join(", ")}]`
+    : v !== null && typeof v === "object" ? `{ ${pairs(v).join(", ")} }` : JSON.stringify(v);
   function problem() {
     const tables = structuredClone(model.tables);
     const put = (name, v) => { const path = name.split("."); path.slice(0, -1).reduce((table, key) => table[key] ??= {}, tables)[path[path.length - 1]] = v; };
@@ -314,25 +374,39 @@
     });
     for (const [key, v] of settings()) put(key, v);
     const plain = (v) => v === null || typeof v !== "object" || Array.isArray(v), entries = Object.entries(tables);
-    return [...entries.filter(([, v]) => plain(v)).map(([key, v]) => `${key} = ${toml(v)}`), ...entries.filter(([, v]) => !plain(v)).flatMap(([key, v]) => ["", `[${key}]`, ...Object.entries(v).map(([name, each]) => `${JSON.stringify(name)} = ${toml(each)}`)])].join("\n") + "\n";
+    return [...entries.filter(([, v]) => plain(v)).map(([key, v]) => `${key} = ${toml(v)}`),
+      ...entries.filter(([, v]) => !plain(v)).flatMap(([key, v]) => ["", `[${key}]`, ...pairs(v)])].join("\n") + "\n";
   }
-  const csv = () => { const names = Object.keys(now.rows); return [names.map((name) => `${name} [${model.units[name]}]`).join(","), ...Array.from(now.rows.time, (_, k) => names.map((name) => now.rows[name][k]).join(","))].join("\n") + "\n"; };
+  function csv() {
+    const names = Object.keys(now.rows), head = names.map((name) => `${name} [${model.units[name]}]`).join(",");
+    return [head, ...Array.from(now.rows.time, (_, k) => names.map((name) => now.rows[name][k]).join(","))].join("\n") + "\n";
+  }
   function stl() {
-    const { vertices, triangles } = solids(now.x, now).find((one) => one.id === "share"), corner = (k) => `vertex ${[0, 1, 2].map((i) => 1000 * vertices[3 * k + i]).join(" ")}`;
-    const facets = []; for (let t = 0; t < triangles.length; t += 3) facets.push(`facet normal 0 0 0\nouter loop\n${[0, 1, 2].map((i) => corner(triangles[t + i])).join("\n")}\nendloop\nendfacet`);
+    const { vertices, triangles } = solids(now.x, now).find((one) => one.id === "share");
+    const corner = (k) => `vertex ${[0, 1, 2].map((i) => 1000 * vertices[3 * k + i]).join(" ")}`;
+    const facets = [];
+    for (let t = 0; t < triangles.length; t += 3) {
+      const corners = [0, 1, 2].map((i) => corner(triangles[t + i])).join("\n");
+      facets.push(`facet normal 0 0 0\nouter loop\n${corners}\nendloop\nendfacet`);
+    }
     return `solid share\n${facets.join("\n")}\nendsolid share\n`;
   }
   /** Force and deflection of the present design and the pinned ones as curves in a frame, with the ends of the axes. */
   function svg() {
     const wide = 600, high = 220, duration = now.rows.time[now.rows.time.length - 1];
     const pictures = panels.map(([, panel], row) => {
-      const curves = curvesOf(panel), every = curves.flatMap(({ design, name }) => [...design.rows[name]]), low = Math.min(...every), size = Math.max(...every) - low || 1;
+      const curves = curvesOf(panel), every = curves.flatMap(({ design, name }) => [...design.rows[name]]);
+      const low = Math.min(...every), size = Math.max(...every) - low || 1;
       const at = (t, v) => `${(60 + wide * t / duration).toFixed(1)},${(30 + row * (high + 60) + high * (1 - (v - low) / size)).toFixed(1)}`;
       const words = (px, py, anchor, label) => `<text x="${px}" y="${py}" text-anchor="${anchor}">${label}</text>`, top = 30 + row * (high + 60);
-      const drawn = curves.map(({ design, name, colour }) => `<polyline fill="none" stroke="${colour}" points="${[...design.rows.time].flatMap((t, i) => t <= duration ? [at(t, design.rows[name][i])] : []).join(" ")}"/>`);
-      return `<rect x="60" y="${top}" width="${wide}" height="${high}" fill="none" stroke="#888"/>${drawn.join("")}${words(60, top - 8, "start", `${panel.label} [${panel.symbol}]`)}${words(55, top + 12, "end", number((low + size) / panel.factor))}${words(55, top + high, "end", number(low / panel.factor))}${words(60 + wide, top + high + 18, "end", `${number(duration)} s`)}`;
+      const points = (rows, name) => [...rows.time].flatMap((t, i) => t <= duration ? [at(t, rows[name][i])] : []).join(" ");
+      const drawn = curves.map(({ design, name, colour }) => `<polyline fill="none" stroke="${colour}" points="${points(design.rows, name)}"/>`);
+      const about = [words(60, top - 8, "start", `${panel.label} [${panel.symbol}]`), words(55, top + 12, "end", number((low + size) / panel.factor)),
+        words(55, top + high, "end", number(low / panel.factor)), words(60 + wide, top + high + 18, "end", `${number(duration)} s`)];
+      return `<rect x="60" y="${top}" width="${wide}" height="${high}" fill="none" stroke="#888"/>${drawn.join("")}${about.join("")}`;
     });
-    return `<svg xmlns="http://www.w3.org/2000/svg" width="700" height="${panels.length * (high + 60) + 20}" font-family="sans-serif" font-size="13">${pictures.join("")}</svg>\n`;
+    const size = `width="700" height="${panels.length * (high + 60) + 20}" font-family="sans-serif" font-size="13"`;
+    return `<svg xmlns="http://www.w3.org/2000/svg" ${size}>${pictures.join("")}</svg>\n`;
   }
   function download(name, content) {
     const link = make("a", { href: URL.createObjectURL(new Blob([content], { type: "text/plain" })), download: name });
@@ -343,18 +417,29 @@
     undo: () => history.back(),
     reset: () => take(initial),
     pin: () => { pins = [...pins, { ...now }].slice(-MOST_PINS); rebuild(); table(); },
-    command: () => { place("command").select(); document.execCommand("copy"); place("status").textContent = model.certifies ? "Copied: run it to compute the certified optimum." : "Copied: run it to compute this with Python."; },
-    toml: () => download("design.toml", problem()), csv: () => download("design.csv", csv()), stl: () => download("share.stl", stl()), svg: () => download("design.svg", svg()),
+    command: () => {
+      place("command").select();
+      document.execCommand("copy");
+      place("status").textContent = `Copied: run it to compute ${model.certifies ? "the certified optimum" : "this with Python"}.`;
+    },
+    toml: () => download("design.toml", problem()), csv: () => download("design.csv", csv()),
+    stl: () => download("share.stl", stl()), svg: () => download("design.svg", svg()),
     better: async () => {
       place("status").textContent = "Searching …";
       const { x: found, before, after, tried } = await slow("better", now.effects, now.x, variables);
       const better = after < before - 1e-9 * Math.abs(before);
       if (better) await take(found);
-      place("status").textContent = `${better ? "A better design" : "No better design"} after ${tried} tries. This search is local and certifies nothing: ${model.file ? "the command below" : "design.solve()"} does.`;
+      const certain = model.file ? "the command below" : "design.solve()";
+      place("status").textContent = `${better ? "A better design" : "No better design"} after ${tried} tries. `
+        + `This search is local and certifies nothing: ${certain} does.`;
     },
   };
   section.addEventListener("click", ({ target }) => { const what = /** @type {any} */ (target).closest("[data-do]"); if (what) DO[what.dataset.do](); });
-  section.addEventListener("keydown", (event) => { if (event.ctrlKey && event.key === "z" && /** @type {any} */ (event.target).type !== "text") { event.preventDefault(); if (at) DO.undo(); } });
+  section.addEventListener("keydown", (event) => {
+    if (!event.ctrlKey || event.key !== "z" || /** @type {any} */ (event.target).type === "text") return;
+    event.preventDefault();
+    if (at) DO.undo();
+  });
   if (single) {
     place("digits").value = String(Math.round(-Math.log10(error)));
     place("digits").addEventListener("input", () => { error = 10 ** -place("digits").value; ask(); });
@@ -367,7 +452,12 @@
     state: () => keyed(x),
     effects: () => Object.fromEntries(switches.map(({ label, box }) => [label, box.checked])),
     /* Switches an effect by its name. */
-    switch: (name) => { const one = switches.find(({ label }) => label === name); if (!one || one.box.disabled) throw new RangeError(`"${name}" cannot be switched here`); one.box.click(); return ask(); },
+    switch: (name) => {
+      const one = switches.find(({ label }) => label === name);
+      if (!one || one.box.disabled) throw new RangeError(`"${name}" cannot be switched here`);
+      one.box.click();
+      return ask();
+    },
     set: async (given) => {
       await take(requested(given), false);
       if (refused) throw new RangeError(refused);

@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -251,26 +251,17 @@ def wrote(path: Path) -> None:
 @contextmanager
 def progress() -> Iterator[Progress]:
     """Yield a function that shows the present step on the error stream: a bar on a terminal, otherwise lines."""
-    stream = Screen(stderr=True)
-    with ExitStack() as stack:
-        silent = quiet() or LOG.isEnabledFor(logging.DEBUG)
-        show = _StepByStep() if silent else stack.enter_context(progress_on(stream))
+    last, debugs = "", quiet() or LOG.isEnabledFor(logging.DEBUG)
+    with nullcontext(None) if debugs else progress_on(Screen(stderr=True)) as show:
 
         def notify(stage: str, fraction: float) -> None:
+            nonlocal last
             _stop_if_interrupted()
-            show(stage, fraction)
+            if show is not None:
+                show(stage, fraction)
+            elif stage != last:
+                last = stage
+                LOG.debug(stage)
 
         yield notify
     _stop_if_interrupted()
-
-
-class _StepByStep:
-    """Progress as debug messages, one for each stage."""
-
-    def __init__(self) -> None:
-        self._last = ""
-
-    def __call__(self, stage: str, _fraction: float) -> None:
-        if stage != self._last:
-            LOG.debug(stage)
-            self._last = stage

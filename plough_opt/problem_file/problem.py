@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
@@ -453,20 +453,53 @@ class Problem:
             >>> [port.name for port in component.inputs]
             ['share.wedge_angle', 'share.height', 'scene.stiffness']
         """
-        values = {**self.numbers(), **{key: v.guess for key, v in self.variables.items()}}
-        bounds = {key: Input(key, v.lower, v.upper) for key, v in self.variables.items()}
 
         def make(changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
             return self.scene(changes), self.values(changes).get("scene.duration")
 
         return build(
             make,
-            input_ports(self.name, inputs, bounds, values),
-            wanted_outputs(self.name, self.table, outputs, self.objective),
+            self._inputs(inputs),
+            self._outputs(outputs),
             accuracy=self.accuracy,
             samples=self.table.scene.outputs if samples is None else samples,
             name=name,
         )
+
+    def _inputs(self, keys: Sequence[str]) -> list[Port]:
+        """Return the ports of the inputs with some keys, or of the variables if there are no keys."""
+        check_kind("inputs", keys, list | tuple, "a list of keys")
+        if not (keys := keys or tuple(self.variables)):
+            raise InputError(f"{self.name}: nothing to vary: name inputs, or give the file a [variables] table")
+        values = {**self.numbers(), **{key: v.guess for key, v in self.variables.items()}}
+        bounds = {key: Input(key, v.lower, v.upper) for key, v in self.variables.items()}
+        for key in keys:
+            if isinstance(key, str) and key in EVERY and key not in values:
+                raise InputError(f"'{key}' cannot be an input, because {self.name} gives no value for it: add one")
+            check_named("no quantity is named {}", key, values)
+        return [port_of(bounds.get(key, Input(key)), EVERY[key], values[key]) for key in keys]
+
+    def _outputs(self, names: Sequence[str]) -> list[Output]:
+        """Return outputs with some names, or all results that the file names, with its requirements as limits."""
+        check_kind("outputs", names, list | tuple, "a list of names")
+        table, measures = self.table, measures_of(self.table)
+        every = dict.fromkeys([*table.minimise, *table.goals, *table.require])
+        if not (names := names or [*([OBJECTIVE] if table.minimise else []), *every]):
+            raise InputError(f"{self.name} minimises, trades and requires nothing: name outputs")
+        found = []
+        for name in names:
+            check_kind("an output", name, str, "the name of a result")
+            if name == OBJECTIVE and table.minimise:
+                found.append(Output(name, of=self.objective))
+            elif name not in measures:  # `build` raises InputError for unknown names
+                found.append(Output(name))
+            else:
+                unit = measures[name].unit
+                low, high = table.require.get(name, LimitTable()).ends(unit)
+                ends = (-math.inf if low is None else low, math.inf if high is None else high)
+                own = (measures[name].of, unit.symbol) if name in table.measures else ()
+                found.append(Output(name, *ends, *own))
+        return found
 
     def numbers(self) -> dict[str, float]:
         """Return key -> value of every quantity that is not a variable, including the properties of a named soil.
@@ -561,63 +594,6 @@ class Problem:
 
 OBJECTIVE = "objective"
 """Name of the sum of the [minimise] table."""
-
-
-def input_ports(name: str, keys: Sequence[str], bounds: Mapping[str, Input], values: Mapping[str, float]) -> list[Port]:
-    """Return the input ports of a file.
-
-    Args:
-        name: the file's name.
-        keys: keys of quantities; empty for the variables.
-        bounds: key of each variable -> its bounds.
-        values: key -> value in SI, guesses for variables.
-
-    Raises:
-        InputError: there is nothing to vary, or a key is unknown or has no value.
-    """
-    check_kind("inputs", keys, list | tuple, "a list of keys")
-    keys = keys or tuple(bounds)
-    if not keys:
-        raise InputError(f"{name}: nothing to vary: name inputs, or give the file a [variables] table")
-    for key in keys:
-        if isinstance(key, str) and key in EVERY and key not in values:
-            raise InputError(f"'{key}' cannot be an input, because {name} gives no value for it: add one")
-        check_named("no quantity is named {}", key, values)
-    return [port_of(bounds.get(key, Input(key)), EVERY[key], values[key]) for key in keys]
-
-
-def wanted_outputs(
-    name: str, table: ProblemTable, names: Sequence[str], objective: Callable[[Run], Expression]
-) -> list[Output]:
-    """Return the outputs of a file, with its requirements as limits.
-
-    Args:
-        name: the file's name.
-        table: its tables.
-        names: names of results, or "objective"; empty for all results that the file minimises, trades or requires.
-        objective: function from a run to the sum of [minimise].
-
-    Raises:
-        InputError: no results are named, and the file minimises, trades and requires none.
-    """
-    check_kind("outputs", names, list | tuple, "a list of names")
-    every = dict.fromkeys([*table.minimise, *table.goals, *table.require])
-    names = names or [*([OBJECTIVE] if table.minimise else []), *every]
-    if not names:
-        raise InputError(f"{name} minimises, trades and requires nothing: name outputs")
-    return [_output(one, table, objective) for one in names]
-
-
-def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expression]) -> Output:
-    check_kind("an output", name, str, "the name of a result")
-    if name == OBJECTIVE and table.minimise:
-        return Output(name, of=objective)
-    measure = measures_of(table).get(name)
-    if measure is None:  # `build` raises InputError for unknown names
-        return Output(name)
-    low, high = table.require.get(name, LimitTable()).ends(measure.unit)
-    ends = (-math.inf if low is None else low, math.inf if high is None else high)
-    return Output(name, *ends, measure.of, measure.unit.symbol) if name in table.measures else Output(name, *ends)
 
 
 def longest_period(values: Mapping[str, Expression]) -> Expression:

@@ -63,64 +63,6 @@ class Solid:
         return np.cross(b - a, c - a)
 
 
-def own_opening(angle: float, chisel_angle: float, slope: float) -> float:
-    """Return the angle between a share's faces at which the block has the volume of its equivalent cone [rad].
-
-    The block's volume is e w^2 sin(opening) / 6 with e = h / cos(beta_pl) and w = e tan(lambda); the cone's is
-    pi h^3 tan^2(beta) / 3. If the block is smaller at every angle, as for chisel angles above some 50 degrees, the
-    result is a right angle, at which it is largest.
-
-    Args:
-        angle: wedge angle lambda [rad].
-        chisel_angle: beta_pl [rad].
-        slope: tan(beta) of the equivalent cone [-].
-    """
-    ratio = 2.0 * math.pi * math.cos(chisel_angle) ** 3 * (slope / math.tan(angle)) ** 2
-    return math.asin(min(1.0, ratio))
-
-
-def share_solid(angle: float, chisel_angle: float, height: float, opening: float, thickness: float | None) -> Solid:
-    """Return a wedge-shaped share: see `plough_opt.Wedge.mesh`."""
-    check_domain("opening between the faces", opening, "rad", above=0.0, below=math.pi)
-    ridge = height / math.cos(chisel_angle)
-    width, half = ridge * math.tan(angle), opening / 2.0
-    along = np.array([math.cos(chisel_angle), 0.0, math.sin(chisel_angle)])
-    down = np.array([math.sin(chisel_angle), 0.0, -math.cos(chisel_angle)])
-
-    def places(u: float, v: float, depth: float) -> list[NDArray[np.float64]]:
-        """Return a point for each of the two faces, u along the ridge, v across the face and a depth below it."""
-        side, below = v * math.sin(half) - depth * math.cos(half), v * math.cos(half) + depth * math.sin(half)
-        return [u * along + below * down + np.array([0.0, sign * side, 0.0]) for sign in (1.0, -1.0)]
-
-    outer = [0.0 * along, ridge * along, *places(ridge, width, 0.0)]
-    if thickness is None:
-        return Solid(np.array(outer), ((0, 1, 2), (0, 3, 1), (1, 3, 2), (0, 2, 3)), working=2)
-    # Distance from the ridge, along a face, at which the inner faces of the plates meet.
-    mitre = thickness / math.tan(half)
-    check_domain("thickness of the plate", thickness, "m", above=0.0)
-    if mitre >= width:
-        most = f"{width * math.tan(half):.4g} m"
-        raise InputError(f"thickness = {thickness:g} m leaves nothing of the faces' inside: use less than {most}")
-    inner = [places(u, mitre, thickness)[0] for u in (mitre / math.tan(angle), ridge)]
-    vertices = np.array([*outer, *inner, *places(ridge, width, thickness)])
-    # Corners: tip 0 and end 1 of the ridge, outer corners 2 and 3; 4 to 7 are the corresponding inner corners.
-    edges = ((0, 1, 2), (0, 3, 1), (4, 6, 5), (4, 5, 7), (0, 2, 6, 4), (0, 4, 7, 3), (1, 3, 7, 5, 6, 2))
-    return Solid(vertices, edges, working=2)
-
-
-def cone_solid(radius: float, height: float, segments: int) -> Solid:
-    """Return a cone as a pyramid: see `plough_opt.Cone.mesh`."""
-    if not is_count(segments) or not _LEAST_SEGMENTS <= segments <= _MOST_SEGMENTS:
-        raise InputError(f"segments = {segments!r} must be a whole number from {_LEAST_SEGMENTS} to {_MOST_SEGMENTS:,}")
-    turn = 2.0 * math.pi * np.arange(segments) / segments
-    rim = np.column_stack([np.full(segments, height), radius * np.cos(turn), radius * np.sin(turn)])
-    vertices = np.vstack([[0.0, 0.0, 0.0], rim, [height, 0.0, 0.0]])
-    neighbours = [(k + 1, (k + 1) % segments + 1) for k in range(segments)]
-    side = tuple((0, second, first) for first, second in neighbours)
-    base = tuple((segments + 1, first, second) for first, second in neighbours)
-    return Solid(vertices, (*side, *base), working=segments)
-
-
 def deg(angle: Expression) -> Expression:
     """Return an angle in radians [rad], given in degrees.
 
@@ -209,7 +151,16 @@ class Cone:
             1.0
         """
         half_angle, height = _numbers(self, "half_angle", "height")
-        return cone_solid(height * math.tan(half_angle), height, segments)
+        if not is_count(segments) or not _LEAST_SEGMENTS <= segments <= _MOST_SEGMENTS:
+            ends = f"{_LEAST_SEGMENTS} to {_MOST_SEGMENTS:,}"
+            raise InputError(f"segments = {segments!r} must be a whole number from {ends}")
+        radius, turn = height * math.tan(half_angle), 2.0 * math.pi * np.arange(segments) / segments
+        rim = np.column_stack([np.full(segments, height), radius * np.cos(turn), radius * np.sin(turn)])
+        vertices = np.vstack([[0.0, 0.0, 0.0], rim, [height, 0.0, 0.0]])
+        neighbours = [(k + 1, (k + 1) % segments + 1) for k in range(segments)]
+        side = tuple((0, second, first) for first, second in neighbours)
+        base = tuple((segments + 1, first, second) for first, second in neighbours)
+        return Solid(vertices, (*side, *base), working=segments)
 
 
 @dataclass(frozen=True)
@@ -289,15 +240,45 @@ class Wedge:
             1.0
         """
         angle, chisel_angle, height = _numbers(self, "angle", "chisel_angle", "height")
-        own = self.opening if opening is None else plain_number("opening", opening)
-        plate = None if thickness is None else plain_number("thickness", thickness)
-        return share_solid(angle, chisel_angle, height, own, plate)
+        opening = self.opening if opening is None else plain_number("opening", opening)
+        check_domain("opening between the faces", opening, "rad", above=0.0, below=math.pi)
+        ridge, half = height / math.cos(chisel_angle), opening / 2.0
+        width = ridge * math.tan(angle)
+        along = np.array([math.cos(chisel_angle), 0.0, math.sin(chisel_angle)])
+        down = np.array([math.sin(chisel_angle), 0.0, -math.cos(chisel_angle)])
+
+        def places(u: float, v: float, depth: float) -> list[NDArray[np.float64]]:
+            """Return a point for each of the two faces, u along the ridge, v across the face and a depth below it."""
+            side, below = v * math.sin(half) - depth * math.cos(half), v * math.cos(half) + depth * math.sin(half)
+            return [u * along + below * down + np.array([0.0, sign * side, 0.0]) for sign in (1.0, -1.0)]
+
+        outer = [0.0 * along, ridge * along, *places(ridge, width, 0.0)]
+        if thickness is None:
+            return Solid(np.array(outer), ((0, 1, 2), (0, 3, 1), (1, 3, 2), (0, 2, 3)), working=2)
+        thickness = plain_number("thickness", thickness)
+        # Distance from the ridge, along a face, at which the inner faces of the plates meet.
+        mitre = thickness / math.tan(half)
+        check_domain("thickness of the plate", thickness, "m", above=0.0)
+        if mitre >= width:
+            most = f"{width * math.tan(half):.4g} m"
+            raise InputError(f"thickness = {thickness:g} m leaves nothing of the faces' inside: use less than {most}")
+        inner = [places(u, mitre, thickness)[0] for u in (mitre / math.tan(angle), ridge)]
+        vertices = np.array([*outer, *inner, *places(ridge, width, thickness)])
+        # Corners: tip 0 and end 1 of the ridge, outer corners 2 and 3; 4 to 7 are the corresponding inner corners.
+        edges = ((0, 1, 2), (0, 3, 1), (4, 6, 5), (4, 5, 7), (0, 2, 6, 4), (0, 4, 7, 3), (1, 3, 7, 5, 6, 2))
+        return Solid(vertices, edges, working=2)
 
     @property
     def opening(self) -> float:
-        """Default angle between the faces in `mesh` [rad]; only for a numeric share."""
+        """Default angle between the faces in `mesh` [rad]; only for a numeric share.
+
+        The block's volume is e w^2 sin(opening) / 6 with e = h / cos(beta_pl) and w = e tan(lambda); the cone's is
+        pi h^3 tan^2(beta) / 3. If the block is smaller at every angle, as for chisel angles above some 50 degrees, it
+        is a right angle, at which the block is largest.
+        """
         angle, chisel_angle, _ = _numbers(self, "angle", "chisel_angle", "height")
-        return own_opening(angle, chisel_angle, float(self.equivalent_cone().slope))
+        slope = float(self.equivalent_cone().slope) / math.tan(angle)
+        return math.asin(min(1.0, 2.0 * math.pi * math.cos(chisel_angle) ** 3 * slope**2))
 
 
 def _numbers(share: Cone | Wedge, *names: str) -> list[float]:

@@ -79,10 +79,12 @@ function build(chart) {
   const sparse = (own) => own.log ? { filter: decades } : {};
   const axis = (own) => ({ label: heading(own), labelFont: FONT, font: FONT, stroke: "#1b2733", labelSize: 18, size: 34, labelGap: 0, ...sparse(own),
     grid: { stroke: "#e6eaee", width: 1, ...sparse(own) }, ticks: { stroke: "#c4ccd3", width: 1, size: 5, ...sparse(own) },
-    values: (u, ticks) => ticks.map((v) => v == null ? "" : own.log ? (v < 0.01 ? v.toExponential(0) : String(+v.toPrecision(2))) : String(+v.toPrecision(6))) });
+    values: (u, ticks) => ticks.map((v) => v == null ? "" : !own.log ? String(+v.toPrecision(6))
+      : v < 0.01 ? v.toExponential(0) : String(+v.toPrecision(2))) });
   const height = () => plot.clientWidth > 600 ? 300 : 250;
   const u = new uPlot({
-    width: plot.clientWidth, height: height(), legend: { show: true, live: false, markers: { width: 0, fill: (u, k) => cloud ? chart.groups[k - 1].colour : chart.series[k - 1].colour } },
+    width: plot.clientWidth, height: height(), legend: { show: true, live: false,
+      markers: { width: 0, fill: (u, k) => cloud ? chart.groups[k - 1].colour : chart.series[k - 1].colour } },
     scales: { x: { time: false, distr: chart.x.log ? 3 : 1 }, y: { range: range(chart) } },
     axes: [axis(chart.x), { ...axis(chart.y), size: 62 }],
     series: [{ label: heading(chart.x) }, ...series],

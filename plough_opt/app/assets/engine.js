@@ -113,7 +113,8 @@ function engine(model, functions, effects = "") {
   /** The state to which one wavelength returns, and how a deviation from it has grown by then: see orbit.py. */
   function returning(p, nodes, phase) {
     const [guess, unit] = f.orbit(p), scaled = (state) => state.map((v, i) => v / unit[i]);
-    const once = (start, ends = nodes) => scaled(ends.slice(1).reduce((state, node, k) => f.step(state, [ends[k], node - ends[k]], p)[0], start.map((v, i) => v * unit[i])));
+    const once = (start, ends = nodes) => scaled(ends.slice(1).reduce(
+      (state, node, k) => f.step(state, [ends[k], node - ends[k]], p)[0], start.map((v, i) => v * unit[i])));
     /* How far a share from equilibrium is from the orbit in the end, relative to half the orbit's range. */
     const apartFrom = (orbit) => {
       const ends = nodesOf(1, Math.max(FEWEST, Math.ceil(phase / ROUGH_PHASE)), []);
@@ -213,7 +214,8 @@ function engine(model, functions, effects = "") {
     sizes[of.travel] = Math.max(sizes[of.travel], sizes[of.deflection]);
     const [draft, rms, mean, spread, power] = run.five;
     const size = Math.max(Math.abs(draft), rms, SMALLEST * force), long = Math.max(Math.abs(mean), spread, SMALLEST * force / stiffness);
-    const scales = [size, Math.max(rms, SMALLEST * force), long, Math.max(spread, SMALLEST * force / stiffness), Math.max(Math.abs(power), SMALLEST * force * speed)];
+    const scales = [size, Math.max(rms, SMALLEST * force), long, Math.max(spread, SMALLEST * force / stiffness),
+      Math.max(Math.abs(power), SMALLEST * force * speed)];
     const pairs = [...model.rows.map((name, k) => [apart[k], Math.max(sizes[k], SMALLEST * least[name])]),
       ...scales.map((scale, k) => [Math.abs(run.five[k] - other.five[k]), scale])];
     if (!pairs.every(([change]) => Number.isFinite(change))) return Infinity;

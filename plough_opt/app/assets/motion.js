@@ -35,9 +35,13 @@
     }
     const tip = mount - z * larger * scale, back = tip - own.height * scale;
     ctx.fillStyle = "#00000022";
-    if (own.front) { ctx.beginPath(); ctx.moveTo(tip, axis); ctx.lineTo(back, axis - own.front * scale); ctx.lineTo(back, axis + own.front * scale); ctx.closePath(); ctx.fill(); }
+    const wedge = (half) => {
+      ctx.beginPath(); ctx.moveTo(tip, axis); ctx.lineTo(back, axis - half * scale); ctx.lineTo(back, axis + half * scale);
+      ctx.closePath(); ctx.fill();
+    };
+    if (own.front) wedge(own.front);
     ctx.fillStyle = "#0072b2"; ctx.strokeStyle = "#12202c"; ctx.lineWidth = 1.5;
-    ctx.beginPath(); ctx.moveTo(tip, axis); ctx.lineTo(back, axis - own.radius * scale); ctx.lineTo(back, axis + own.radius * scale); ctx.closePath(); ctx.fill(); ctx.stroke();
+    wedge(own.radius); ctx.stroke();
     /* The mount bends from the frame down to the share. */
     const foot = back + 0.3 * own.height * scale, head = mount - 0.7 * own.height * scale;
     ctx.lineWidth = 6; ctx.strokeStyle = "#5b6874"; ctx.lineCap = "round";
@@ -53,7 +57,8 @@
     output.textContent = `${now.toFixed(3)} s, deflection ${+shown.toPrecision(3)} ${own.unit.symbol}`;
     slider.value = Math.round(1000 * now / end);
     figure.dataset.time = now.toFixed(4);
-    figure.querySelector("figcaption").textContent = `Motion of the share behind its strut${larger > 1.05 ? `, deflection magnified ${larger.toPrecision(2)} times` : ""}`;
+    const magnified = larger > 1.05 ? `, deflection magnified ${larger.toPrecision(2)} times` : "";
+    figure.querySelector("figcaption").textContent = `Motion of the share behind its strut${magnified}`;
   }
   function step(stamp) {
     if (!playing) return;

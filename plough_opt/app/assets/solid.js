@@ -19,15 +19,21 @@ function solidView(figure, first) {
   const VERTEX = `attribute vec3 position, normal; uniform mat4 modelViewMatrix, projectionMatrix; uniform mat3 normalMatrix;
     varying vec3 n; void main() { n = normalMatrix * normal; gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0); }`;
   const FRAGMENT = `precision highp float; varying vec3 n; uniform vec3 colour; uniform float opacity, lit;
-    void main() { vec3 m = normalize(gl_FrontFacing ? n : -n); float light = 0.74 + 0.34 * max(0.0, dot(m, normalize(vec3(-0.6, 0.5, 0.6)))) + 0.12 * max(0.0, m.y);
+    void main() { vec3 m = normalize(gl_FrontFacing ? n : -n);
+      float light = 0.74 + 0.34 * max(0.0, dot(m, normalize(vec3(-0.6, 0.5, 0.6)))) + 0.12 * max(0.0, m.y);
       gl_FragColor = vec4(mix(colour, colour * light, lit), opacity); }`;
   const rgb = (hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16) / 255);
   const programs = {};
-  const material = (colour, opacity, lit) => programs[colour + opacity + lit] ||= new ogl.Program(gl, { vertex: VERTEX, fragment: FRAGMENT, transparent: opacity < 1, cullFace: false,
+  const material = (colour, opacity, lit) => programs[colour + opacity + lit] ||= new ogl.Program(gl, {
+    vertex: VERTEX, fragment: FRAGMENT, transparent: opacity < 1, cullFace: false,
     depthWrite: opacity === 1, uniforms: { colour: { value: rgb(colour) }, opacity: { value: opacity }, lit: { value: lit } } });
 
   /* The data has z up; the picture y. Triangles have corners of their own, and normals of the face or, on cones, of the surface. */
   const at = (body, k) => [body.vertices[3 * k], body.vertices[3 * k + 2], -body.vertices[3 * k + 1]];
+  const geometry = (position, normal) => new ogl.Geometry(gl, {
+    position: { size: 3, data: new Float32Array(position) }, normal: { size: 3, data: new Float32Array(normal) } });
+  const lines = (position) => new ogl.Mesh(gl, {
+    mode: gl.LINES, geometry: geometry(position, Array(position.length).fill(0.5)), program: material("#12202c", 1, 0) });
   function mesh(body) {
     const position = [], normal = [];
     for (let t = 0; t < body.triangles.length; t += 3) {
@@ -36,17 +42,18 @@ function solidView(figure, first) {
       const n = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
       for (const q of p) { position.push(...q); normal.push(...n); }
     }
-    const made = new ogl.Mesh(gl, { geometry: new ogl.Geometry(gl, { position: { size: 3, data: new Float32Array(position) }, normal: { size: 3, data: new Float32Array(normal) } }), program: material(body.colour, body.opacity, 1) });
+    const made = new ogl.Mesh(gl, { geometry: geometry(position, normal), program: material(body.colour, body.opacity, 1) });
     if (body.edges.length) {
-      const data = new Float32Array(body.edges.flatMap((k) => at(body, k)));
-      const edges = new ogl.Mesh(gl, { mode: gl.LINES, geometry: new ogl.Geometry(gl, { position: { size: 3, data }, normal: { size: 3, data: new Float32Array(data.length).fill(0.5) } }), program: material("#12202c", 1, 0) });
-      edges.setParent(made);
+      lines(body.edges.flatMap((k) => at(body, k))).setParent(made);
     }
     return made;
   }
   const shown = {};
   let scene = new ogl.Transform(), size = 0;
-  const extent = (body, k) => { let low = Infinity, high = -Infinity; for (let i = k; i < body.vertices.length; i += 3) { low = Math.min(low, body.vertices[i]); high = Math.max(high, body.vertices[i]); } return [low, high]; };
+  function extent(body, k) {
+    const along = body.vertices.filter((_, i) => i % 3 === k);
+    return [Math.min(...along), Math.max(...along)];
+  }
   function fill(bodies) {
     scene.traverse((one) => { if (one.geometry) one.geometry.remove(); });
     scene = new ogl.Transform();
@@ -63,8 +70,8 @@ function solidView(figure, first) {
     }
     /* An arrow along the direction of travel, between the bodies. */
     const long = Math.max(...bodies.map((b) => extent(b, 0)[1])), above = 1.05 * reach, head = 0.08 * long;
-    const arrow = [[0.4, 0], [-0.5, 0], [-0.5, 0], [-0.5 + head / long, 0.5 * head], [-0.5, 0], [-0.5 + head / long, -0.5 * head]].flatMap(([x, z]) => [x * long, above, z]);
-    new ogl.Mesh(gl, { mode: gl.LINES, program: material("#12202c", 1, 0), geometry: new ogl.Geometry(gl, { position: { size: 3, data: new Float32Array(arrow) }, normal: { size: 3, data: new Float32Array(arrow.length).fill(0.5) } }) }).setParent(scene);
+    const places = [[0.4, 0], [-0.5, 0], [-0.5, 0], [-0.5 + head / long, 0.5 * head], [-0.5, 0], [-0.5 + head / long, -0.5 * head]];
+    lines(places.flatMap(([x, z]) => [x * long, above, z])).setParent(scene);
     /* The largest bodies so far decide the scale, so that later ones are seen to grow and shrink. */
     size = Math.max(size, Math.hypot(Math.max(...bodies.map((b) => extent(b, 0)[1])), gap + half + reach, 2 * reach) / 2);
   }
@@ -77,7 +84,8 @@ function solidView(figure, first) {
     canvas.style.width = canvas.style.height = "";
     const away = view.far * size / Math.sin(14 * Math.PI / 180) * Math.max(1, 1.45 * height / width);
     camera.perspective({ aspect: width / height });
-    camera.position.set(away * Math.cos(view.tilt) * Math.sin(view.turn - Math.PI / 2), away * Math.sin(view.tilt), away * Math.cos(view.tilt) * Math.cos(view.turn - Math.PI / 2));
+    const flat = away * Math.cos(view.tilt), turn = view.turn - Math.PI / 2;
+    camera.position.set(flat * Math.sin(turn), away * Math.sin(view.tilt), flat * Math.cos(turn));
     camera.lookAt([0, 0, 0]);
     renderer.render({ scene, camera });
     figure.dataset.view = [view.turn, view.tilt, view.far].map((v) => v.toFixed(3)).join(" ");

@@ -287,7 +287,7 @@ def test_the_front_is_found_up_to_the_largest_cavity(filled):
 
 
 INVALID_PROFILES = [
-    *((falling, order, f"order = {order!r} .*positive integer") for order in (0, 2.5, "16", None)),
+    *((falling, order, f"order = {order!r} must be a whole number of at least 1") for order in (0, 2.5, "16", None)),
     *((density, 16, f"{density!r}.* a function of the radius, in kg/m") for density in (1700.0, "rho")),
 ]
 

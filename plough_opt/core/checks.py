@@ -329,10 +329,11 @@ def plain_number(what: str, value: Any) -> float:
     return number
 
 
-def whole_number(what: str, value: Any) -> int:
-    """Return an integer, also one of NumPy, as an int; raise InputError if it is not a whole number of at least 0."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
-        raise InputError(f"{what} = {shown(value)} must be a whole number of at least 0")
+def whole_number(what: str, value: Any, least: int = 0, most: float = math.inf) -> int:
+    """Return an integer, also one of NumPy, as an int; raise InputError for another value or one beyond its limits."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or not least <= int(value) <= most:
+        ends = f"of at least {least}" if math.isinf(most) else f"from {least} to {most}"
+        raise InputError(f"{what} = {shown(value)} must be a whole number {ends}")
     return int(value)
 
 

@@ -24,6 +24,7 @@ from plough_opt.core.checks import (
     limits_of_laws,
     plain_number,
     shown,
+    whole_number,
 )
 from plough_opt.core.errors import DomainError, InputError, PloughError
 from plough_opt.core.expressions import (
@@ -32,7 +33,6 @@ from plough_opt.core.expressions import (
     as_number,
     holds_casadi,
     is_casadi,
-    is_count,
     is_symbolic,
     map_expressions,
     stacked,
@@ -573,9 +573,7 @@ def build(
     check_kind("accuracy", accuracy, Accuracy, "a po.Accuracy(...)")
     if not accuracy.order_8:
         raise InputError(f"method '{accuracy.method}' has no fixed steps, as a component needs: use 'auto' or 'dop853'")
-    if not is_count(samples):
-        raise InputError(f"samples = {shown(samples)} must be a whole number of intervals of output, at least 1")
-
+    whole_number("samples", samples, 1)
     scenes = Scenes(name, tuple(inputs), make_scene)
     measures = [measure_of(one, scenes.scene.law) for one in requested]
     results = {identifier(one.name): value_of for one, (_, value_of) in zip(requested, measures, strict=True)}

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_domain, checked_in_designs, plain_number
+from plough_opt.core.checks import check_domain, checked_in_designs, plain_number, whole_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, arctan, cos, is_count, sqrt, tan
+from plough_opt.core.expressions import Expression, arctan, cos, sqrt, tan
 from plough_opt.core.quantities import BESIDE, read_fields
 
 SEGMENTS = 4096
@@ -151,9 +151,7 @@ class Cone:
             1.0
         """
         half_angle, height = _numbers(self, "half_angle", "height")
-        if not is_count(segments) or not _LEAST_SEGMENTS <= segments <= _MOST_SEGMENTS:
-            ends = f"{_LEAST_SEGMENTS} to {_MOST_SEGMENTS:,}"
-            raise InputError(f"segments = {segments!r} must be a whole number from {ends}")
+        whole_number("segments", segments, _LEAST_SEGMENTS, _MOST_SEGMENTS)
         radius, turn = height * math.tan(half_angle), 2.0 * math.pi * np.arange(segments) / segments
         rim = np.column_stack([np.full(segments, height), radius * np.cos(turn), radius * np.sin(turn)])
         vertices = np.vstack([[0.0, 0.0, 0.0], rim, [height, 0.0, 0.0]])

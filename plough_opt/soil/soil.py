@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from plough_opt.core.checks import LARGEST, array_of, check_kind, check_named, check_text, shown
+from plough_opt.core.checks import LARGEST, array_of, check_kind, check_named, check_text, shown, whole_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import (
     COUNT,
@@ -19,7 +19,6 @@ from plough_opt.core.expressions import (
     exp,
     expm1,
     expm1_ratio,
-    is_count,
     is_symbolic,
     log,
     log1p,
@@ -68,8 +67,7 @@ class DensityProfile:
     def __post_init__(self) -> None:
         if not callable(self.density):
             raise InputError(f"the density profile {shown(self.density)} must be a function of the radius, in kg/m^3")
-        if not is_count(self.order):
-            raise InputError(f"order = {shown(self.order)} of the profile's quadrature must be a positive integer")
+        whole_number("order", self.order, 1)
 
     def at(self, r: Expression) -> Expression:
         """Return the density [kg/m^3] at a Lagrangian radius [m]."""

@@ -569,7 +569,7 @@ def test_arguments_that_the_integrals_cannot_handle_are_refused(change, sentence
 
 test_knots_on_invalid_profiles_are_refused = refusals(
     (po.DomainError, po.InputError),
-    (lambda: po.elastic.knots(PROFILES["straight"], 0.5, 0), "count = 0 of straight pieces must be"),
+    (lambda: po.elastic.knots(PROFILES["straight"], 0.5, 0), "count = 0 must be"),
     (lambda: po.elastic.knots(PROFILES["straight"], 0.0, 4), "length of the profile = 0 m"),
     (lambda: po.elastic.knots(lambda x: -x, 0.5, 4), "half thickness or radius at x"),
     (lambda: po.elastic.knots(lambda x: math.nan * x, 0.5, 4), "= nan m must be finite"),

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_domain, check_single
+from plough_opt.core.checks import check_domain, check_single, whole_number
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import Expression, expm1_ratio, gauss_legendre, holds_casadi, is_count
+from plough_opt.core.expressions import Expression, expm1_ratio, gauss_legendre, holds_casadi
 from plough_opt.soil.elastic import cone as cones
 from plough_opt.soil.elastic import wedge as wedges
 from plough_opt.soil.elastic.medium import Medium, heights_at, medium
@@ -213,8 +213,7 @@ def _waves(
     check_domain("distance from the axis", distance, "m", above=0.0, why="on the axis the integrals do not converge")
     check_domain("length of the profile", length, "m", above=0.0)
     check_single("a Fourier integral", (length, soil, speed))
-    if not is_count(order) or order < 2:
-        raise InputError(f"order = {order!r} must be a whole number of nodes in a panel, at least 2")
+    whole_number("order", order, 2)
     state = medium(soil, speed)
     check_domain("speed over shear wave speed", state.mach, below=1.0, why="at 1 the integrals do not converge")
     across, away = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(distance, dtype=float))

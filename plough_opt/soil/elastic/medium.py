@@ -17,6 +17,7 @@ from plough_opt.core.checks import (
     plain_number,
     shown,
     unlabelled,
+    whole_number,
 )
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import (
@@ -28,7 +29,6 @@ from plough_opt.core.expressions import (
     as_number,
     column,
     holds_casadi,
-    is_count,
     is_symbolic,
     log,
     maximum,
@@ -351,8 +351,7 @@ def knots(profile: Callable[[float], float], length: float, count: int) -> list[
     """
     length = plain_number("length of the profile", length)
     check_domain("length of the profile", length, "m", above=0.0)
-    if not is_count(count) or count > _MOST_PIECES:
-        raise InputError(f"count = {shown(count)} of straight pieces must be a whole number from 1 to {_MOST_PIECES}")
+    whole_number("count", count, 1, _MOST_PIECES)
     places = [length * math.sin(math.pi * k / (2 * count)) ** 2 for k in range(count)] + [length]
     nodes = list(zip(places, heights_at(places, profile), strict=True))
     for place, height in nodes:

@@ -335,7 +335,7 @@ INVALID = [
     ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
     ({}, {"inputs": []}, "name at least one"),
     ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' has no fixed steps, as a component needs"),
-    ({"orbit": "periodic", "strength_wave": WAVE}, {}, "leave the duration out"),
+    ({"orbit": "periodic", "strength_wave": WAVE}, {}, "omit the duration"),
     ({}, {"inputs": [ALONE]}, "does not hold the symbol of input 'k'"),
     ({}, {"inputs": [po.Input("k", symbol=FREE)]}, "needs lower and upper"),
     ({"stiffness": FREE}, {"inputs": ["share.height"]}, "symbols that are not inputs, k"),

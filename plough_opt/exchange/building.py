@@ -61,7 +61,7 @@ from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.plan import fewest_steps, forced_rate, numbers_of, phase, steps_for, timeline_of
 from plough_opt.motion.run import assemble
-from plough_opt.motion.scene import Scene, quantities_of, with_quantities
+from plough_opt.motion.scene import Scene, duration_of, quantities_of, with_quantities
 from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.steps import Timeline
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
@@ -259,14 +259,7 @@ class Scenes:
             InputError: the duration is missing, or it is given for a periodic orbit.
         """
         scene, duration = self.make({port.name: value for port, value in zip(self.inputs, x, strict=True)})
-        if scene.effects.orbit == "transient":
-            if duration is None:
-                raise InputError("the duration is missing: give the time to simulate, in seconds")
-            BESIDE["scene.duration"].check(duration)
-            return scene, duration
-        if duration is not None:
-            raise InputError("a periodic orbit lasts one wavelength of the soil strength: leave the duration out")
-        return scene, scene.wave_period
+        return scene, duration_of(scene, duration)
 
     def at_numbers(self, x: Iterable[float]) -> tuple[Scene, float]:
         """Return the numeric scene and duration at numeric values of the inputs, given in order."""

@@ -13,7 +13,7 @@ from plough_opt.core.checks import check_domain, check_kind, checked_in_designs,
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
 from plough_opt.core.plain_data import ByName
-from plough_opt.core.quantities import QUANTITIES, read_fields
+from plough_opt.core.quantities import BESIDE, QUANTITIES, read_fields
 from plough_opt.laws import law_of
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
@@ -528,3 +528,25 @@ def _replaced(value: Any, path: tuple[str | int, ...], new: Expression) -> Any:
             return _replaced(value, rest, new)
         return (*value[:step], _replaced(value[step], rest, new), *value[step + 1 :])
     return dataclasses.replace(value, **{step: _replaced(getattr(value, step), rest, new)})
+
+
+def duration_of(scene: Scene, duration: Any, stacklevel: int = 2) -> Expression:
+    """Return the simulated time [s], for an orbit its period.
+
+    Args:
+        scene: the scene.
+        duration: time as a number, a text or an expression, or None.
+        stacklevel: stack level of a warning of an implausible number, 2 for the caller's line.
+
+    Raises:
+        InputError: the duration is missing, or given for an orbit.
+        DomainError: it is not above 0.
+    """
+    if scene.effects.orbit != "transient":
+        if duration is not None:
+            raise InputError("a periodic orbit lasts one wavelength of the soil's strength: omit the duration")
+        check_domain("tow speed", scene.tow_speed, "m/s", above=0.0, why="a standing share has no orbit")
+        return scene.wave_period
+    if duration is None:
+        raise InputError("the duration is missing: give the time to simulate, in seconds")
+    return BESIDE["scene.duration"].read(duration, stacklevel=stacklevel + 1)

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_domain, check_kind, check_single, check_switch, shown, unlabelled
+from plough_opt.core.checks import check_kind, check_single, check_switch, shown, unlabelled
 from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import (
@@ -26,7 +26,6 @@ from plough_opt.core.expressions import (
     map_expressions,
     rms,
 )
-from plough_opt.core.quantities import BESIDE
 from plough_opt.motion import checks, plan
 from plough_opt.motion.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
 from plough_opt.motion.compiled_steps import source_of
@@ -47,7 +46,7 @@ from plough_opt.motion.integrators import (
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
 from plough_opt.motion.orbit import which_motion
 from plough_opt.motion.run import Averages, Checks, Run, assemble
-from plough_opt.motion.scene import Scene
+from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.steps import Timeline, ends
 from plough_opt.soil.strength import check_strength
 
@@ -194,17 +193,10 @@ def _checked_duration(
     if scene.effects.events and not accuracy.locates_events:
         methods = " or ".join(map(repr, locating()))
         raise InputError(f"{method} cannot locate the events of stick and slip or entry: use {methods}")
-    if scene.effects.orbit == "transient":
-        if duration is None:
-            raise InputError("the duration is missing: give the time to simulate, in seconds")
-        duration = BESIDE["scene.duration"].read(duration, stacklevel=4)
-        if isinstance(duration, np.ndarray) and duration.ndim > 0:
-            raise InputError(f"the duration is an array of {duration.size} values: simulate accepts one at a time")
-        return duration
-    if duration is not None:
-        raise InputError("the duration of a periodic orbit is one wavelength of the soil strength: omit it")
-    check_domain("tow speed", scene.tow_speed, "m/s", above=0.0, why="a standing share has no orbit")
-    return scene.wave_period
+    found = duration_of(scene, duration, stacklevel=4)
+    if isinstance(found, np.ndarray) and found.ndim > 0:
+        raise InputError(f"the duration is an array of {found.size} values: simulate accepts one at a time")
+    return found
 
 
 def _with_tow_speed(scene: Scene, duration: Expression, tow_speed: Any) -> Scene:

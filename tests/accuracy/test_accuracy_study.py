@@ -213,7 +213,7 @@ WRONG = [
     ({"wanted": 0.5}, "wanted error"),
     ({"outputs": 0}, "outputs = 0"),
     ({"allowance": 0.0}, "time allowed"),
-    ({"scene": scene_of(strength_wave=WAVE, orbit="periodic")}, "duration must be omitted"),
+    ({"scene": scene_of(strength_wave=WAVE, orbit="periodic")}, "omit the duration"),
     ({"scene": scene_of(stiffness=ca.MX.sym("k"))}, "holds symbols"),
 ]
 

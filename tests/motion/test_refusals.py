@@ -167,7 +167,7 @@ INPUT = [
     (run(None), "the duration is missing"),
     (run(None, strength_wave=WAVE), "the duration is missing"),
     (run(None, motion=False), "the duration is missing"),
-    *[(run(0.3, strength_wave=WAVE, orbit=orbit), r"duration .* is one wavelength .* omit it") for orbit in ORBITS],
+    *[(run(0.3, strength_wave=WAVE, orbit=orbit), "lasts one wavelength .* omit the duration") for orbit in ORBITS],
     *[(run(duration), r"duration|one number per quantity")
       for duration in ("1", np.array([1.0, 2.0]), ca.DM([1.0, 2.0]), ca.MX.sym("duration", 2))],
     (run(stiffness=ca.MX.sym("stiffness", 2)), "one number per quantity"),

@@ -51,7 +51,7 @@ from plough_opt.motion.batch.series import Engine
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Structure
 from plough_opt.motion.orbit import inverse, near_orbit, returning, without_orbit
-from plough_opt.motion.scene import Scene
+from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.strength import check_strength
 
@@ -200,7 +200,7 @@ class Batch:
         _check_scene(scene)
         if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
             raise InputError(f"error = {shown(error)} must lie between 1e-11 and 1e-2")
-        duration = BESIDE["scene.duration"].read(_duration(scene, duration), stacklevel=2)
+        duration = duration_of(scene, duration)
         check_single("the duration of a batch", duration)
         symbols = _symbols(inputs)
         self._error = error
@@ -448,17 +448,6 @@ def _symbols(inputs: Sequence[Column]) -> list[Expression]:
     if sum(one.numel() for one in distinct) < sum(one.numel() for one in symbols):
         raise InputError("an input of the batch is named twice: name each symbol once")
     return symbols
-
-
-def _duration(scene: Scene, duration: Expression | None) -> Expression:
-    """Return the simulated time, for an orbit its period; raise InputError if it is missing or has to be omitted."""
-    if (duration is None) == (scene.effects.orbit == "transient"):
-        raise InputError(
-            "the duration is missing: give the time to simulate, in seconds"
-            if duration is None
-            else "the duration of a periodic orbit is one wavelength of the soil strength: use None"
-        )
-    return scene.wave_period if duration is None else duration
 
 
 def _check_scene(scene: Scene) -> None:

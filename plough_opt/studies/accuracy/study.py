@@ -37,7 +37,6 @@ from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, P
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, map_expressions
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import available, without_notices
-from plough_opt.core.quantities import BESIDE
 from plough_opt.core.saving import versions
 from plough_opt.design import Design, Optimum, Progress
 from plough_opt.design.declarations import Declarations
@@ -50,7 +49,7 @@ from plough_opt.design.search.explore import silent
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.plan import MOST_ADAPTIVE, MOST_OUTPUTS, phase, steps_for
-from plough_opt.motion.scene import Scene
+from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.steps import Timeline
 from plough_opt.studies.accuracy.methods import Task, gradients, integrators, models, periodic_orbit_of
 from plough_opt.studies.accuracy.reference import HAS_EXTENDED, Reference, reference_gradient, reference_run
@@ -369,14 +368,9 @@ def study_accuracy(
     check_domain("time allowed to a method", plain_number("allowance", allowance), "s", above=0.0)
     if not is_count(outputs) or outputs > MOST_OUTPUTS:
         raise InputError(f"outputs = {shown(outputs)} must be a whole number from 1 to {MOST_OUTPUTS}")
+    duration = plain_number("duration", duration_of(scene, duration))
     if scene.effects.orbit != "transient":
-        if duration is not None:
-            raise InputError("duration must be omitted for a periodic orbit: it is one wavelength of the soil strength")
         scene = replace(scene, effects=replace(scene.effects, orbit="periodic"))
-        duration = float(as_number(scene.wave_period))
-    if duration is None:
-        raise InputError("the duration is missing: give the time to simulate in seconds")
-    duration = plain_number("duration", BESIDE["scene.duration"].read(duration))
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
     entries, floors, notes = _contests(task, progress or silent, derivatives=derivatives)
     defaults = {MOTION: (AUTO, f"error {DEFAULT_ERROR:.0e}"), DERIVATIVES: (AUTO, "default")}

@@ -10,7 +10,7 @@ import pytest
 from helpers.differences import check_derivatives
 from helpers.scenes import SHARE, scene_of
 from helpers.small_designs import design
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
@@ -155,20 +155,6 @@ def test_derivatives_of_the_program_are_those_of_differences(build, name, accura
         check_derivatives(program.nlp, np.array([y]), [], 1e-8, 1e-7, step=1e-3)
 
 
-def test_tow_speed_and_wave_may_be_chosen_too(r1_scene):
-    def run_at(speed, wavelength):
-        wave = po.StrengthWave(0.3, wavelength)
-        scene = r1_scene(tow_speed=speed, damping=400.0, strength_wave=wave, orbit="periodic", stiffness=4e4)
-        return po.simulate(scene, outputs=24)
-
-    d, speed = design(speed=(1.5, 1.0, 2.5, "m/s"))
-    run = run_at(speed, d.parameter("wavelength", 0.6, unit="m"))
-    d.minimise((run.tow_power / 1e3 - 0.9) ** 2)
-    best = d.solve(parameters={"wavelength": 0.8}, search="local")
-    # The objective is flat to 1e-10 within the square root of that.
-    assert run_at(best.variables["speed"], 0.8).tow_power == pytest.approx(900.0, rel=1e-4)
-
-
 # --- scenes and designs in soil with a density profile, whose parameters are fixed, given per solve, or variables ---
 
 ORDER = 8
@@ -225,31 +211,6 @@ def test_a_profile_parameter_is_a_designs_parameter(sized, r1_soil, width):
     assert type(given.density_profile.order) is int
     assert given.density_profile.order == ORDER
     assert po.loosened_radius(po.Cone(po.deg(12.0), height), given) == pytest.approx(0.1, rel=1e-12)
-
-
-def test_a_profile_parameter_is_a_designs_variable(r1_soil, r1_wave):
-    """Choose how far to compact the soil: a denser core is easier to pass through but costs more."""
-
-    def price(run, core):
-        return run.mean_draft / 1e3 + ((core - 1500.0) / 300.0) ** 2
-
-    d, core = design(core=(1600.0, 1450.0, 1900.0, "kg/m^3"))
-    effects = {"strength_wave": r1_wave, "damping": 300.0}
-    run = po.simulate(scene_of(soil_of(r1_soil, core=core), **effects), 0.5, outputs=50)
-    d.minimise(price(run, core))
-    best = d.solve(search="local")
-
-    def by_numbers(value):
-        return price(po.simulate(scene_of(soil_of(r1_soil, core=value), **effects), 0.5, outputs=50), value)
-
-    brute = minimize_scalar(by_numbers, bounds=(1450.0, 1900.0), method="bounded", options={"xatol": 1e-3})
-    assert 1460.0 < brute.x < 1890.0
-    # Beside a minimum the objective's rounding of 1e-9 hides moves of the root of that.
-    assert best.variables["core"] == pytest.approx(brute.x, rel=1e-5)
-    assert best.objective == pytest.approx(brute.fun, rel=1e-9)
-    assert best.gap < 1e-8
-    assert best(run).mean_draft == pytest.approx(best(run.mean_draft), rel=1e-9)
-    assert best(run.scene).soil.density_profile.parameters == (best.variables["core"], 0.1)
 
 
 def test_bounds_without_a_front_are_refused_by_name(r1_soil):

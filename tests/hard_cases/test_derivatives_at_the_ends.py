@@ -5,6 +5,7 @@ RMS and last mount force are closed forms of every number of the scene, differen
 wave differences of high order judge the derivatives.
 """
 
+import itertools
 import math
 from functools import cache
 
@@ -70,13 +71,9 @@ ALWAYS = ("wedge_angle", "cohesion", "speed", "stiffness", "mass")
 NAMES, STEPS, RMS = tuple(SIZES), 120, 1
 
 
-def in_turn(*kinds, of=2):
-    """Parametrize by every end and kind; by default only every ``of``-th case runs, and the others are slow."""
-    cases = [
-        pytest.param(end, kind, marks=[pytest.mark.slow] if (k + j) % of else [])
-        for k, end in enumerate(ENDS) for j, kind in enumerate(kinds)
-    ]  # fmt: skip
-    return pytest.mark.parametrize(("end", "kind"), cases)
+def in_turn(*kinds):
+    """Parametrize by every end and kind."""
+    return pytest.mark.parametrize(("end", "kind"), [*itertools.product(ENDS, kinds)])
 
 
 def numbers_of(end):
@@ -224,7 +221,7 @@ def oscillation(v, first):
 FIRST = {"rest": lambda v: oscillation(v, v["speed"]), "towed": lambda v: oscillation(v, mp.mpf(0))}
 
 
-@in_turn("rest", "towed", of=4)
+@in_turn("rest", "towed")
 def test_a_linear_oscillation(end, kind):
     for order, k, found, true in compared(end, kind, FIRST[kind], 3):
         if order == 0 or k != RMS or end not in KINKS[kind]:
@@ -235,7 +232,7 @@ def test_a_linear_oscillation(end, kind):
 # --- under a strength wave ----------------------------------------------------------------------------------
 
 
-@in_turn("waves", "still waves", of=4)
+@in_turn("waves", "still waves")
 def test_under_a_wave(end, kind):
     numbers, sizes = numbers_of(end)
     values, slopes = first_of(numbers, sizes, kind)

@@ -71,14 +71,6 @@ def cone(*values):
     return oracle.Cone(**vars(po.elastic.cone_displacement(*at)), **vars(po.elastic.cone_stress(*at)))
 
 
-def thinned(*ranges, keep):
-    """Return all combinations; every ``keep``-th runs by default, the others with the slow tests."""
-    return [
-        pytest.param(*values, marks=() if i % keep == 0 else pytest.mark.slow)
-        for i, values in enumerate(itertools.product(*ranges))
-    ]
-
-
 def slow(cases, *first):
     """Return cases that run with the slow tests only, each after the given arguments."""
     return [pytest.param(*first, case, marks=pytest.mark.slow) for case in cases]

@@ -1,8 +1,7 @@
 """Motion of a share by SciPy, in its travel L and speed L' in SI units, for every contact law and with entry.
 
 Slip, stick and gap are integrated piece by piece; each event is found on the interpolant, and then sharpened by Newton
-steps that integrate anew, for the interpolant is of lower order than the method. Beside the motion it keeps books of
-energy: what the strut delivers, what the damper takes, and what is work on the soil, recapture included.
+steps that integrate anew, for the interpolant is of lower order than the method.
 """
 
 import functools
@@ -31,7 +30,7 @@ class Change(NamedTuple):
 
 
 class Motion(SimpleNamespace):
-    """Results by their names in a `Run`, the events, and the books of energy at the end [J]."""
+    """Results by their names in a `Run`, and the events."""
 
     def near_a_change(self, within):
         """Tell of each output time whether an event is that near [s]."""
@@ -47,17 +46,16 @@ class _Share(Forces):
     """The forces of a scene, the rates of its motion and the ends of its modes."""
 
     def rates(self, mode, about):
-        """Return the rate of (L, L', sums of P, z, their squares about a mean, P s', damper's and soil's work)."""
+        """Return the rate of (L, L', sums of P, z, their squares about a mean, and P s')."""
         mean_force, mean_deflection = about
 
         def rate(t, x):
             travel, v = x[0], x[1]
             path, tow = self.strut(t)
-            z, slide = path - travel, tow - v
-            force = self.k * z + self.c * slide
+            z = path - travel
+            force = self.k * z + self.c * (tow - v)
             a = self.acceleration(mode, force, travel, v)
-            squares = (force - mean_force) ** 2, (z - mean_deflection) ** 2
-            return [v, a, force, z, *squares, force * tow, self.c * slide**2, (force - self.m * a) * v]
+            return [v, a, force, z, (force - mean_force) ** 2, (z - mean_deflection) ** 2, force * tow]
 
         return rate
 
@@ -94,18 +92,17 @@ def follow(scene, duration, outputs=20, tolerance=TIGHT):
     """Return the `Motion` of a numeric scene."""
     share = _Share(scene)
     times = np.linspace(0.0, duration, outputs + 1)
-    rough, _, _ = _path(share, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
+    rough, _ = _path(share, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
     about = tuple(rough[2:4, -1] / duration)
-    columns, changes, loss = _path(share, (duration, times), about, tolerance)
-    sums = columns[:9, -1]
+    columns, changes = _path(share, (duration, times), about, tolerance)
+    sums = columns[:7, -1]
     means = sums[2:4] / duration
     spreads = np.sqrt(np.maximum(sums[4:6] / duration - (means - np.array(about)) ** 2, 0.0))
     averages = means[0], spreads[0], means[1], spreads[1], sums[6] / duration
     names = ("travel", "speed", "mode", "opening", "mount_force", "soil_resistance")
-    arrays = dict(zip(names, (*columns[:2], *columns[9:]), strict=True))
+    arrays = dict(zip(names, (*columns[:2], *columns[7:]), strict=True))
     arrays |= {"time": times, "deflection": np.array([share.strut(t)[0] for t in times]) - columns[0]}
-    books = {"changes": tuple(changes), "damper_work": sums[7], "soil_work": sums[8] + loss}
-    return Motion(**arrays, **dict(zip(AVERAGES, averages, strict=True)), **books)
+    return Motion(**arrays, **dict(zip(AVERAGES, averages, strict=True)), changes=tuple(changes))
 
 
 def agreed(scene, duration, outputs=10, allowed=2e-8, resistance=1.0):
@@ -148,22 +145,21 @@ def agreed(scene, duration, outputs=10, allowed=2e-8, resistance=1.0):
 
 
 def _path(share, when, about, tolerance):
-    """Return columns at the output times, changes of mode and the loss at recapture.
+    """Return columns at the output times and changes of mode.
 
     A column holds the state, the mode, the opening, the mount force and the soil's resistance.
     """
     duration, times = when
     share.behind = -math.inf
     travel, speed, mode = share.start()
-    furthest, entered, loss = travel, False, 0.0
+    furthest, entered = travel, False
     hardness = math.sqrt(abs(share.k) * share.m)
     force = share.static + share.v0 * hardness + 1e-9
     z = force / abs(share.k)
-    works = [force * max(share.v0 * duration, z)] * 3
     sums = [size * duration for size in (force, z, force**2, z**2)]
-    sizes = np.array([z, force / hardness, *sums, *works])
+    sizes = np.array([z, force / hardness, *sums, force * max(share.v0 * duration, z)])
     # The travel's own size does not matter: it is its difference from the strut's path that pulls.
-    relative = np.full(9, max(tolerance, 2.3e-14))
+    relative = np.full(7, max(tolerance, 2.3e-14))
     relative[0] = 2.3e-14
     settings = {"method": "DOP853", "rtol": relative, "atol": tolerance * sizes}
     if share.breakaway is not None:
@@ -173,7 +169,7 @@ def _path(share, when, about, tolerance):
     # After a turn the next is not looked for at once, or rounding would find the same again.
     turned, rest = -math.inf, 1e-3 * settings.get("max_step", 0.0)
     stops = sorted({*times, *([share.ramp] if 0.0 < share.ramp < duration else [])})
-    x, columns, changes = np.array([travel, speed] + [0.0] * 7), [], []
+    x, columns, changes = np.array([travel, speed] + [0.0] * 5), [], []
 
     def note(t):
         pull = share.pull(t, x[0], x[1])
@@ -196,7 +192,7 @@ def _path(share, when, about, tolerance):
                 turned, entered = (now if which == "turn" else turned), entered or which == "buried"
                 share.behind = {"back": x[0], "buried": x[0], "forth": -math.inf}.get(which, share.behind)
                 continue
-            pull, old, before = share.pull(now, x[0], 0.0 if mode == STICK else x[1]), mode, x[1]
+            pull, old = share.pull(now, x[0], 0.0 if mode == STICK else x[1]), mode
             x = x.copy()
             if mode == SLIP:
                 x[1], mode = 0.0, (GAP if pull < 0.0 else STICK if pull <= share.hold(x[0]) else SLIP)
@@ -206,13 +202,12 @@ def _path(share, when, about, tolerance):
             else:
                 x[0], mode = furthest, SLIP
                 x[1] *= share.m / (share.m + share.carried(x[0]))
-                loss += share.m * (before**2 - x[1] ** 2) / 2.0
                 entered = entered or x[0] >= share.height
             changes.append(Change(now, old, mode, x[0]))
             assert len(changes) < 100_000, "events without end"
         if end in times:
             note(end)
-    return np.array(columns).T, changes, loss
+    return np.array(columns).T, changes
 
 
 def _piece(rate, span, x, ends, settings):

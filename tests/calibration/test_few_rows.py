@@ -423,6 +423,19 @@ def test_intervals_agree_with_error_propagation():
     assert width / 2.0 == pytest.approx(1.959964 * math.hypot(1e5 / INDEX, slope * of_ratio), rel=1e-5)
 
 
+@pytest.mark.slow  # by default test_linear.py stands for it
+def test_the_intervals_hold_the_truth():
+    """Eight insertions and three widths of a known soil: 95 +- 3 % of the 95 % intervals hold the truth."""
+    true = dataclasses.replace(BASE, density_ratio=0.85, strength_factor=20.0)
+    index, radius = po.cone_index(true), po.loosened_radius(CONE, true)
+    trials, rng, inside = 500, np.random.default_rng(4), np.zeros(2)
+    for _ in range(trials):
+        indices, radii = (x * (1.0 + s * rng.standard_normal(n)) for x, s, n in ((index, 0.12, 8), (radius, 0.03, 3)))
+        found = fitted(indices, radii, (0.12 * index, 0.03 * radius)).intervals()
+        inside += [20.0 in found["soil.strength_factor"], 0.85 in found["soil.density_ratio"]]
+    assert np.all(np.abs(inside / trials - 0.95) <= 0.03), inside / trials
+
+
 def test_with_the_cone_index_in_the_file_the_trench_gives_the_density_ratio(tmp_path):
     """With the reading in the file the width decides b1, and the strength factor follows from both."""
     path = tmp_path / "share.toml"

@@ -528,6 +528,22 @@ def test_held_out_prediction_and_interval_are_those_of_linear_regression(regress
     assert held.coverage == (np.sum(np.abs(errors) <= quantile * spread), 5)
 
 
+def test_intervals_hold_95_percent_of_the_rows_held_out(regression):
+    speeds, _, _, offset, matrix = regression
+    exact = offset + matrix @ [20e3, 1400.0]
+    rng = np.random.default_rng(8)
+    data = po.Measurements("mean_draft", exact, {"scene.tow_speed": speeds})
+    calibrated = po.Calibration(linear_scene(20e3, 1400.0, 2.0), data, UNKNOWN)
+    inside = count = 0
+    for seed in range(150):
+        fit = calibrated.fit(exact + 0.02 * np.mean(exact) * rng.standard_normal(14))
+        hit, finite = fit.hold_out(0.4, seed=seed).coverage
+        inside, count = inside + hit, count + finite
+    # 900 rows; six of one set share its fit, so that their number varies twice as much as that of independent ones.
+    assert count == 900
+    assert abs(inside / count - 0.95) < 4 * 2 * (0.95 * 0.05 / count) ** 0.5
+
+
 def test_rows_with_one_value_in_a_column_are_held_out_together():
     fit = po.calibrate(po.read_problem(FILE), po.read_measurements(DATA))
     held = fit.hold_out(1 / 3, by="scene.tow_speed", seed=2)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from helpers.commands import printed
 from helpers.problem_files import COTTON, PROBLEMS, STATIC, SUBSOILER, changed
-from helpers.scenes import scene_of
 from helpers.small_designs import design
 
 import plough_opt as po
@@ -147,17 +146,6 @@ def test_what_the_program_adds_is_not_named_by_sensitivities():
     assert by_hill.valid_to == pytest.approx(T**2, rel=0.05)
     assert by_hill.then == ("", "one of the worst designs within the tolerances begins to decide")
     assert by_hill.valid_from is None
-
-
-# Runs of a design, their effects, and the number of designs in a box.
-RUNS = [(1, {}, BOX_DESIGNS), (3, {}, 16), (40, {}, 8), (1, {"contact": po.StickSlip()}, 8)]
-
-
-@pytest.mark.parametrize(("runs", "effects", "count"), RUNS)
-def test_a_box_holds_fewer_designs_if_these_take_long(runs, effects, count):
-    d, k0 = design(stiffness=(5e4, 2e4, 1e5))
-    d.minimise(sum(po.simulate(scene_of(stiffness=k0 + k, **effects), 0.1).mean_draft for k in range(runs)))
-    assert over_tolerances.designs_per_box(d.declared) == count
 
 
 BOXED = {"x": (1.0, 0.1, 10.0, "", False, 0.2), "y": (2.0, 0.1, 10.0, "", False, "5 %")}

@@ -127,14 +127,10 @@ def test_an_own_wave_is_as_good_as_the_soils(r1_scene):
 
 
 APPROXIMATED = {
-    "damped": {"damping": 400.0},
+    **{name: CASES[name] for name in ("damped", "rate term", "speed term", "conservative", "slow")},
     "undamped": {},
     "soft": {"stiffness": 6e3, "damping": 150.0},
     "resonant": {"stiffness": 1.2e4, "damping": 300.0},
-    "rate term": {"rate_term": 0.05, "damping": 100.0},
-    "speed term": {"speed_term": 0.2, "damping": 100.0},
-    "conservative": {"inertial_drag": False},
-    "slow": {"tow_speed": 0.5, "damping": 300.0},
     "stiff": {"stiffness": 1e6, "damping": 1e3},
     "stiffest": {"stiffness": 1e9, "damping": 1e4},
 }

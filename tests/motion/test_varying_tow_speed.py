@@ -206,6 +206,7 @@ def simulated(tow_speed=TABLE, duration=1.2, accuracy=None, **effects):
     return lambda: po.simulate(scene_of(**effects), duration, tow_speed=tow_speed, accuracy=accuracy)
 
 
+X = ca.MX.sym("x")
 test_refusals_name_the_cause = refusals(
     po.InputError,
     (simulated(orbit="periodic", strength_wave=WAVE, duration=None), "orbit"),
@@ -216,24 +217,17 @@ test_refusals_name_the_cause = refusals(
     (simulated(duration=ca.MX.sym("duration")), "duration"),
     (simulated(2.5), "tow_speed = 2.5 .* scene"),
     (simulated("9 km/h"), "tow_speed = '9 km/h' .* scene"),
-    (simulated("fast"), "tow_speed"),
-    (simulated({0.0: 1.0}), "tow_speed"),
-    (simulated(ca.MX.sym("x")), "tow_speed"),
-    (simulated((ca.MX.sym("x"), ca.MX.sym("y"))), "tow_speed"),
-    (simulated([1.0, 2.0]), "tow_speed"),
-    (simulated([]), "tow_speed"),
-    (simulated([(0, 1), (4, 2)]), r"tow_speed = .*\(\[0, 4\], \[1, 2\]\)"),
-    (simulated(np.array([[0.0, 1.0], [4.0, 2.0]])), r"tow_speed = .*\(\[0, 4\], \[1, 2\]\)"),
-    (simulated([("0 s", "1 m/s"), ("4 s", "2 m/s")]), r"tow_speed = .*\(\[0, 4\], \[1, 2\]\)"),
-    (simulated(np.array(TABLE).T), r"shape \(5, 2\).* transpose"),
-    (simulated(tuple(zip(*TABLE, strict=True))), r"shape \(5, 2\).* transpose"),
+    *((simulated(wrong), "tow_speed")
+      for wrong in ("fast", {0.0: 1.0}, X, (X, X), [1.0, 2.0], [], ([0.0, 1.0], [1.0, 2.0, 3.0]))),
+    *((simulated(pairs), r"tow_speed = .*\(\[0, 4\], \[1, 2\]\)")
+      for pairs in ([(0, 1), (4, 2)], np.array([[0.0, 1.0], [4.0, 2.0]]), [("0 s", "1 m/s"), ("4 s", "2 m/s")])),
+    *((simulated(turned), r"shape \(5, 2\).* transpose")
+      for turned in (np.array(TABLE).T, tuple(zip(*TABLE, strict=True)))),
     (simulated(([0.0, 1.0, 2.0], [1.0, math.nan, 2.0])), "speed in row 2 .*nan"),
     (simulated(([0.0, 1.0, math.inf], [1.0, 3.0, 2.0])), "time in row 3 .*inf"),
     (simulated((["0 s", "1 m"], [1.0, 2.0])), "time in row 2"),
     (simulated(([0.0, 1.0], [1.0, "9"])), "speed in row 2"),
-    (simulated(([0.0, 1.0], [1.0, 2.0, 3.0])), "tow_speed"),
-    (simulated(([0.5, 1.0], [1.0, 2.0])), "rise from 0"),
-    (simulated(([0.0, 1.0, 1.0], [1.0, 2.0, 3.0])), "rise from 0"),
+    *((simulated(late), "rise from 0") for late in (([0.5, 1.0], [1.0, 2.0]), ([0.0, 1.0, 1.0], [1.0, 2.0, 3.0]))),
     (simulated(([0.0, 1.0], [1.0, -0.1])), "at least 0"),
     (simulated(([0.0, 0.5, 1.0], [1.0, 1.0, -1.0])), r"from 0\.75 s on"),
     (simulated(lambda t: 0.7 - t), r"from 0\.7 s on .* negative"),
@@ -251,8 +245,8 @@ test_refusals_name_the_cause = refusals(
     (simulated(PPoly([[1.0, 2.0]], [0.0, 0.5, 1.0])), "jumps"),
     (simulated(accuracy=po.Accuracy("dop853", steps=50)), "too few"),
     (lambda: po.Effects(tow_profile=([0, 1], [1, 2])), "SpeedProfile"),
-    (lambda: po.Batch(simulated()().scene, 1.0, [ca.MX.sym("x")]), "batch"),
-)
+    (lambda: po.Batch(simulated()().scene, 1.0, [X]), "batch"),
+)  # fmt: skip
 
 
 def test_a_strut_that_never_moves_is_outside_the_domain():

@@ -24,7 +24,6 @@ from plough_opt.problem_file import uncertain
 from plough_opt.problem_file.uncertain import distribution_of, measure_of, optimise_robust, uncertain_of
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.result import RobustOptimum
-from plough_opt.studies.uncertainty.robust import best_robust, spread_of
 
 # --- robust optima with known closed forms, or found by hand on a grid ---
 # The soil's properties stand for the uncertain numbers of textbook problems; no run takes part.
@@ -136,41 +135,6 @@ def test_the_sharp_worst_case_is_searched_without_its_bound():
     assert best.objective == pytest.approx(losses.max(), rel=1e-8)
     # At the corner of a maximum the grid is off by its slope times half a position.
     assert least - 1e-3 <= best.objective <= least + 1e-9
-
-
-@pytest.mark.parametrize("lost", [False, True])
-def test_widths_follow_from_the_designs_that_are_found(lost):
-    """A number times a loss with two equal valleys scales the spread: far from the start, far from its width."""
-    made = []
-
-    def build(spreads):
-        d, x = design(x=(5.0, -6.0, 6.0))
-        robust = _robust(x)
-        d.minimise(robust.cvar("loss", 0.9, width=0.5 * d.parameter(spread_of("loss"), spreads["loss"])))
-        return d, robust, frozenset({"loss"})
-
-    def _robust(x):
-        return po.Robust(FIELD, lambda soil: {"loss": ((x**2 - 4.0) ** 2 + 4.0) * soil.cohesion / MEAN}, samples=16)
-
-    known = _robust(design(x=(1.0, -6.0, 6.0))[1])
-
-    def spreads(at):
-        if lost and made:
-            raise po.NotConverged("it was lost", "no optimum")
-        made.append({name: float(np.std(values)) for name, values in known.values(at).items()})
-        return made[-1]
-
-    best, robust, failures = best_robust({"x": 5.0}, build, spreads, lambda *_: None)
-    # Both valleys may be lost; the best is then as the search found it, and the reason is given for each.
-    assert [text.endswith(": it was lost") for text in failures] == [True] * 2 * lost
-    own = robust.values(best)["loss"]
-    (requested,) = robust.requested
-    assert requested.width == pytest.approx(0.5 * (made[0]["loss"] if lost else np.std(own)), rel=0.02)
-    assert best.objective == pytest.approx(measures.cvar(own, 0.9, width=requested.width), rel=1e-9)
-    # Whatever its width, the CVaR grows with the loss, which is least at 2 and at -2.
-    found = [local.variables["x"] for local in best.local_optima]
-    assert np.abs(found) == pytest.approx(2.0, rel=1e-3)
-    assert len(set(np.sign(found))) == len(found) == 2
 
 
 UNIFORM_FIELD = po.SoilDistribution(

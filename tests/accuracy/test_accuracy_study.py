@@ -23,7 +23,7 @@ from rich.console import Console
 import plough_opt as po
 from plough_opt.core import compiler
 from plough_opt.core.compiler import find_compiler
-from plough_opt.studies.accuracy import methods, result
+from plough_opt.studies.accuracy import methods
 from plough_opt.studies.accuracy import study as studies
 from plough_opt.studies.accuracy.methods import FACTORS, Contestant, Task, measured, prepared, step_counts
 from plough_opt.studies.accuracy.reference import reference_run
@@ -336,12 +336,6 @@ def test_a_short_axis_has_numbers_too():
     assert ticks == ["200 ms", "300 ms"]
 
 
-def test_no_two_methods_look_alike():
-    names = ["dop853", "rk", "collocation", "erk", "quasi-static", *(f"{n} differences" for n in range(12))]
-    looks = [result.style_of(name, number) for number, name in enumerate(names)]
-    assert len({(look["color"], look["marker"], look.get("markerfacecolor")) for look in looks}) == len(names)
-
-
 def test_axes_show_every_entry_the_front_and_the_wanted_error():
     axes = Figure().subplots()
     made(("a", "1", 1e-3, 1e-3), ("a", "2", 2e-3, 0.0), ("b", "", 4e-3, 1e-4)).plot(axes)
@@ -634,15 +628,6 @@ def test_a_search_that_takes_too_long_is_the_last(bowl):
     late = po.study_design(bowl, limit=1e-9, thin=True)
     assert [(row.search, row.asked) for row in late.thoroughness] == [("near", 1)]
     assert [entry.setting for entry in late.entries] == ["near", ""]
-
-
-def test_an_effort_without_an_optimum_is_a_failure(bowl, monkeypatch):
-    solved = studies._solved
-    given_up = (None, 1e-3)
-    monkeypatch.setattr(studies, "_solved", lambda d, s, *a, **k: given_up if s == 250 else solved(d, s, *a, **k))
-    study = po.study_design(bowl, thin=True)
-    assert {e.label for e in study.failures} == {"interpreted, 250 designs", "compiled"}
-    assert [row.right for row in study.thoroughness] == [1, 0, 3, 3, 3]
 
 
 def test_an_objective_over_the_tolerance_box_has_no_reference(monkeypatch):

@@ -11,13 +11,7 @@ from helpers.scenes import SEROZEM, scene_of
 
 import plough_opt as po
 from plough_opt.core.expressions import maximum
-from plough_opt.studies.accuracy.reference import (
-    EPS,
-    QUANTITIES,
-    errors_of,
-    reference_gradient,
-    reference_run,
-)
+from plough_opt.studies.accuracy.reference import EPS, QUANTITIES, errors_of, reference_gradient, reference_run
 
 mp = precise_motion.mp
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)

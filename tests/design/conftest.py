@@ -3,12 +3,10 @@
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
-from unittest.mock import Mock
 
 import pytest
 
 import plough_opt as po
-from plough_opt.design.model import program
 
 # What judges these designs integrates in C.
 JUDGED = ("*_study", "independent_problems")
@@ -56,11 +54,3 @@ def r1(build_r1):
     problem = build_r1()
     problem.best = problem.design.solve()
     return problem
-
-
-@pytest.fixture
-def build_nlp(monkeypatch):
-    """Return a mock that records the calls of `build_nlp`."""
-    mock = Mock(wraps=program.build_nlp)
-    monkeypatch.setattr(program, "build_nlp", mock)
-    return mock

@@ -9,12 +9,7 @@ from helpers.small_designs import design
 import plough_opt as po
 from plough_opt.design.model import program as program_module
 from plough_opt.design.model.optimality import quadratic_program
-from plough_opt.studies.tradeoff.front import (
-    thinned,
-    undominated,
-    undominated_in_order,
-    volume,
-)
+from plough_opt.studies.tradeoff.front import thinned, undominated, undominated_in_order, volume
 
 # --- quadratic programs -------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Print the tables of docs/explanation/validation.md, which hold the model against others, and draw its picture.
+"""Print tables and numbers of docs/explanation/validation.md, which hold the model against others; draw its picture.
 
 python problems/validation.py [--plot FOLDER]
 """
@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from measured import compare
-from particles import findings
+from particles import findings, sentences
 
 
 def markdown(table: list[list[str]]) -> str:
@@ -22,11 +22,11 @@ def tables() -> list[str]:
 
 
 def main() -> None:
-    """Print the tables and, on demand, draw the picture."""
+    """Print the tables and the parts of sentences with numbers and, on demand, draw the picture."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plot", type=Path, metavar="FOLDER", help="where to draw the picture")
     chosen = parser.parse_args()
-    print(*tables(), sep="\n\n")
+    print(*tables(), *sentences.sentences(), sep="\n\n")
     if chosen.plot:
         findings.plot(chosen.plot)
 

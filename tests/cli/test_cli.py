@@ -152,25 +152,20 @@ def test_the_optimum_of_r1_has_nine_digits_and_its_picture_is_an_svg(optimised):
 
 
 USAGE = [
-    ([], 2, ["usage: plough-opt"]),
-    (["check"], 2, ["usage: plough-opt"]),
-    (["simulate", "a.toml", "-q", "-v"], 2, ["not allowed"]),
-    (["completion", "cmd"], 2, ["bash"]),
-    (["optimis"], 2, ["'optimis' is unknown: did you mean 'optimise'"]),
-    (["optimise", "a.toml", "--over", "worse"], 2, ["'worse' is unknown: did you mean 'worst'"]),
-    (["--help"], 0, ["\n    init ", "\n    check ", "\n    simulate ", "\n    optimise ", "\n    soils "]),
-    (["check", "--help"], 0, ['--set KEY="VALUE"']),
-    (["calibrate", "--help"], 0, ["30 %"]),
-    (["--version"], 0, [f"plough-opt {po.__version__}\n"]),
+    ([], "usage: plough-opt"),
+    (["check"], "usage: plough-opt"),
+    (["simulate", "a.toml", "-q", "-v"], "not allowed"),
+    (["completion", "cmd"], "bash"),
+    (["optimis"], "'optimis' is unknown: did you mean 'optimise'"),
+    (["optimise", "a.toml", "--over", "worse"], "'worse' is unknown: did you mean 'worst'"),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "status", "words"), USAGE)
-def test_usage_is_explained_and_help_goes_to_the_standard_stream(capsys, arguments, status, words):
-    with pytest.raises(SystemExit, match=str(status)):
+@pytest.mark.parametrize(("arguments", "words"), USAGE)
+def test_usage_is_explained(capsys, arguments, words):
+    with pytest.raises(SystemExit, match="2"):
         main(arguments)
-    streams = capsys.readouterr()
-    assert [one for one in words if one not in streams[1 if status else 0]] == []
+    assert words in capsys.readouterr().err
 
 
 # What only a process of its own shows: exit status, streams, no traceback.
@@ -421,7 +416,8 @@ def started(*arguments):
 
 
 HELP = [
-    (["--help"], "calibrate"), (["--version"], "plough-opt"), (["completion", "bash"], "--judge"),
+    (["--help"], "\n    calibrate "), (["--version"], f"plough-opt {po.__version__}\n"),
+    (["check", "--help"], '--set KEY="VALUE"'), (["calibrate", "--help"], "30 %"), (["completion", "bash"], "--judge"),
     (["optimise", "--help"], "--judge"), (["sweep", "--help"], "--scheduler"), (["export", "--help"], "FMU"),
 ]  # fmt: skip
 

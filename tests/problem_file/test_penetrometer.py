@@ -296,22 +296,7 @@ def test_it_is_a_measure_of_an_uncertain_soil(read):
     assert found.best.objective == pytest.approx((np.mean(draft) + np.mean(expected)) / 1e3, rel=1e-8)
 
 
-LIKE = "effects.random_strength"
-
-
-WRONG_STRENGTH = [
-    ("random_strength = { rms = 0.2 }", f"'correlation_length' is missing: give it in [{LIKE}]", []),
-    ('random_strength = { record = "none.csv" }', "there is no file", []),
-    ('random_strength = { record = "record.csv", rms = 0.2 }', f"'{LIKE}.rms' and a record", []),
-    ('random_strength = { record = "record.csv", base_diameter = "3" }', "'base_diameter' = \"3\" has no unit", []),
-    ('random_strength = { record = "record.csv", base_diameter = "50 m" }', "no waves longer than 50 m", []),
-    ("", "'stationary_force_rms': the stationary RMS needs strength that varies", []),
-    ("", "which is missing", [("[variables]", f"[variables]\n'{LIKE}.rms' = {{ lower = 0.1, upper = 0.2 }}")]),
-    (GIVEN, "the stationary RMS needs some damping", [('damping = "400 N*s/m"', "inertial_drag = false")]),
-]
-
-
-@pytest.mark.parametrize(("given", "words", "places"), WRONG_STRENGTH)
+@pytest.mark.parametrize(("given", "words", "places"), refused_files()["strength"])
 def test_what_is_wrong_has_its_line(refusal, given, words, places):
     said = refusal(written(given, *places))
     assert said.startswith("share.toml, line ")

@@ -171,53 +171,50 @@ def test_a_limit_that_is_just_met_is_named(solved):
 
 @pytest.fixture(scope="module")
 def desk(browser, written):
-    """Return the report on a desk's screen, which several tests use one after the other."""
-    return open_page(browser, written)
+    """Return the report on a desk's screen, for several tests; at the end it has said and asked for nothing."""
+    page, said, asked = open_page(browser, written)
+    yield page
+    assert (said, asked) == ([], [written.as_uri()])
 
 
 # Whether a canvas holds more than one colour.
 DRAWN = Path(__file__).with_name("drawn.js").read_text(encoding="utf-8")
 
 
-def test_the_page_draws_and_asks_for_nothing(desk, written):
-    page, said, asked = desk
-    assert page.title().startswith("Subsoiler </script>")
-    canvases = page.locator("canvas").all()
-    assert len(canvases) == page.locator(".chart").count() + 2
+def test_the_page_draws(desk):
+    assert desk.title().startswith("Subsoiler </script>")
+    canvases = desk.locator("canvas").all()
+    assert len(canvases) == desk.locator(".chart").count() + 2
     assert all(canvas.evaluate(DRAWN) > 5 for canvas in canvases)
-    assert (said, asked) == ([], [written.as_uri()])
 
 
 def test_values_are_read_off_by_mouse_and_keyboard(desk, written):
-    page, said, _ = desk
     force = data_of(written.read_text(encoding="utf-8"))["charts"][0]
-    figure = page.locator("#force")
+    figure = desk.locator("#force")
     over, read = figure.locator(".u-over"), figure.locator(".read")
     over.scroll_into_view_if_needed()
     box = over.bounding_box()
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    desk.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     middle = len(force["x"]["values"]) // 2
     line = f"time {force['x']['values'][middle]:.4g} s: mount force {force['series'][0]['values'][middle]:.4g} kN"
     assert read.inner_text().startswith(line)
     figure.press("Home")
     figure.press("ArrowRight")
     assert read.inner_text().startswith(f"time {force['x']['values'][1]:.4g} s")
-    assert said == []
 
 
 def test_the_share_is_turned_by_mouse_keyboard_and_buttons(desk):
-    page, said, _ = desk
-    solid = page.locator("#solid")
+    solid = desk.locator("#solid")
     solid.scroll_into_view_if_needed()
     canvas = solid.locator("canvas")
     box = canvas.bounding_box()
     seen = [canvas.evaluate("canvas => canvas.toDataURL()")]
 
     def by_mouse():
-        page.mouse.move(box["x"] + 200, box["y"] + 150)
-        page.mouse.down()
-        page.mouse.move(box["x"] + 260, box["y"] + 170, steps=4)
-        page.mouse.up()
+        desk.mouse.move(box["x"] + 200, box["y"] + 150)
+        desk.mouse.down()
+        desk.mouse.move(box["x"] + 260, box["y"] + 170, steps=4)
+        desk.mouse.up()
 
     for turn in (by_mouse, lambda: solid.press("ArrowUp"), solid.get_by_role("button", name="rotate right").click):
         turn()
@@ -226,12 +223,10 @@ def test_the_share_is_turned_by_mouse_keyboard_and_buttons(desk):
     before = canvas.evaluate(DRAWN)
     solid.get_by_label("Compacted soil").uncheck()
     assert canvas.evaluate(DRAWN) < before
-    assert said == []
 
 
 def test_the_motion_plays_and_steps(desk):
-    page, said, _ = desk
-    motion = page.locator("#motion")
+    motion = desk.locator("#motion")
 
     def time():
         return float(motion.get_attribute("data-time"))
@@ -240,12 +235,11 @@ def test_the_motion_plays_and_steps(desk):
     assert time() == pytest.approx(0.01)
     motion.press("Space")
     while time() < 0.05:  # it plays at a fifth of the speed
-        page.wait_for_timeout(20)
+        desk.wait_for_timeout(20)
     motion.press("Space")
     motion.get_by_label("time").fill("500")
     assert time() == pytest.approx(1.0)
     assert "deflection" in motion.locator("output").inner_text()
-    assert said == []
 
 
 def test_the_page_fits_a_phone(browser, written):

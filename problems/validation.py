@@ -26,7 +26,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plot", type=Path, metavar="FOLDER", help="where to draw the picture")
     chosen = parser.parse_args()
-    print(*tables(), *sentences.sentences(), sep="\n\n")
+    print(*tables(), *sentences.sentences(), *sentences.experiment(), sep="\n\n")
     if chosen.plot:
         findings.plot(chosen.plot)
 

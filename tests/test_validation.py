@@ -154,7 +154,6 @@ def test_small_runs_repeat_exactly_and_balance(script, tmp_path):
 # --- rows on file ---
 
 TABLES = {"particles": ("draft", "standard_error", "path", "zone_10"), "triaxial": ("axial_stress", "compaction")}
-CONES = ("cone-15", "cone-35", "wide-15", "wide-35")
 WORDS = {"case", "question", "kind", "yade"}
 
 
@@ -179,31 +178,6 @@ def test_cases_were_run_in_every_packing_of_the_plan(script):
     assert {*found} <= {*planned}
     assert {key for key, question in planned.items() if question == MAIN} <= {*found}
     assert found.total() >= 150
-
-
-def test_the_page_states_the_effect_of_the_box(script):
-    rows = script.read_rows(PARTICLES / "particles.csv")
-    mean = {name: np.mean([float(row["draft"]) for row in rows if row["case"] == name]) for name in CONES}
-    slender, blunt = (mean[f"wide-{angle}"] / mean[f"cone-{angle}"] for angle in (15, 35))
-    page = " ".join((PARTICLES / "README.md").read_text(encoding="utf-8").split())
-    assert f"15° draws {slender:.2f} and 35° {blunt:.2f} times the force" in page
-    ranges = {}
-    for name in {row["case"] for row in rows}:
-        drafts = np.array([float(row["draft"]) for row in rows if row["case"] == name])
-        ranges[name] = 100.0 * np.ptp(drafts) / drafts.mean()
-    median = np.median([100.0 * float(row["standard_error"]) / float(row["draft"]) for row in rows])
-    assert f"a standard error of {median:.0f} % in the median" in page
-    assert f"range over {np.median([*ranges.values()]):.0f} % of their mean in the median" in page
-    worst = max(ranges, key=ranges.get)
-    width = 2.0 * next(float(row["base_radius"]) for row in rows if row["case"] == worst) / 0.02
-    assert (
-        f"over {ranges[worst]:.0f} % at worst: the cone of 8° in the box of 38 cm, whose base is {width:.1f} spheres"
-        in page
-    )
-    assert worst == "wide-8"
-    every = [*rows, *script.read_rows(PARTICLES / "triaxial.csv")]
-    hours = sum(float(row["cpu"]) for row in every) / 3600.0
-    assert f"The {len(every)} tests and pulls took {hours:.1f} hours" in page
 
 
 # --- comparisons with particles and measurements: arithmetic, and every number of the page from the rows on file ---
@@ -253,6 +227,11 @@ def test_the_page_says_what_the_rows_say_and_no_other_number(validation):
     for text in said:
         words = words.replace(text, "…")
     assert {*re.findall(r"(?<![\w.])\d+(?:\.\d+)?(?:°| mm| cm| kPa| m/s| kg| N s/m| %)?", words)} == GIVEN
+
+
+def test_the_experiments_page_says_what_the_rows_say(validation):
+    page = " ".join((PARTICLES / "README.md").read_text(encoding="utf-8").split())
+    assert [text for text in validation.sentences.experiment() if text not in page] == []
 
 
 def test_thirty_measured_rows_with_sources(measured):

@@ -1,4 +1,4 @@
-"""Parts of the sentences of docs/explanation/validation.md that hold numbers.
+"""Parts of the sentences of docs/explanation/validation.md and of README.md that hold numbers.
 
 `python problems/validation.py` prints them below the tables.
 """
@@ -11,7 +11,7 @@ import numpy as np
 from measured import compare
 from particles import findings
 from particles.findings import REFERENCE, SHARES, SIZES, STIFFNESSES
-from particles.run_plan import Case
+from particles.run_plan import HERE, Case, read_rows
 
 import plough_opt as po
 
@@ -223,6 +223,28 @@ def blades() -> list[str]:
     return [f"the other within {min(missed):.0f} to {max(missed):.0f} %", "The published cohesion is 1 kPa"]
 
 
+def experiment() -> list[str]:
+    """Return what problems/particles/README.md says of the box, of scatter and of what the experiment took."""
+    rows, tests = (read_rows(HERE / f"{name}.csv") for name in ("particles", "triaxial"))
+    drafts = {
+        name: [float(row["draft"]) for row in rows if row["case"] == name] for name in {row["case"] for row in rows}
+    }
+    slender, blunt = (np.mean(drafts[f"wide-{angle}"]) / np.mean(drafts[f"cone-{angle}"]) for angle in (15, 35))
+    ranges = {name: 100.0 * float(np.ptp(values) / np.mean(values)) for name, values in drafts.items()}
+    assert max(ranges, key=ranges.__getitem__) == "wide-8"
+    median = np.median([100.0 * float(row["standard_error"]) / float(row["draft"]) for row in rows])
+    width = next(float(row["base_radius"]) for row in rows if row["case"] == "wide-8") / 0.01
+    hours = sum(float(row["cpu"]) for row in (*rows, *tests)) / 3600.0
+    return [
+        f"15° draws {slender:.2f} and 35° {blunt:.2f} times the force",
+        f"a standard error of {median:.0f} % in the median",
+        f"range over {np.median([*ranges.values()]):.0f} % of their mean in the median",
+        f"over {max(ranges.values()):.0f} % at worst: the cone of 8° in the box of 38 cm,"
+        f" whose base is {width:.1f} spheres",
+        f"The {len(rows) + len(tests)} tests and pulls took {hours:.1f} hours",
+    ]
+
+
 def sentences() -> list[str]:
-    """Return the parts of all sentences; what the page says without a number is asserted on the way."""
+    """Return the parts of all sentences of the page; what it says without a number is asserted on the way."""
     return [*trends(), *tools(), *levels(), *blades()]

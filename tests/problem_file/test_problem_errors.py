@@ -11,7 +11,6 @@ from plough_opt.problem_file.sweep import ProblemSweep
 
 SOIL = 'name = "serozem"'
 SPEED = '"7.2 km/h"'
-WAVE = 'strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }'
 
 WRONG = refused_files()
 # Besides what is in refused.toml: long or deep, and with characters that cannot be printed.
@@ -44,38 +43,12 @@ def test_a_variable_whose_dots_are_not_quoted_is_read_all_the_same(read):
     assert {*read(changed(*((f'"{name}"', name) for name in names))).variables} == {*names}
 
 
-# The line is right wherever TOML lets a key stand.
-FORMS = [
-    ([(f"[soil]\n{SOIL}", "soil = { name = 'serozem', cohesoin = 1 }")], "cohesoin", "mean 'cohesion'"),
-    ([(f"[soil]\n{SOIL}", "soil.name = 'serozem'\nsoil.cohesoin = 1")], "cohesoin", "mean 'cohesion'"),
-    ([(f"[soil]\n{SOIL}", '["soil"]\nname = """\\\n   serozem"""\n"cohesoin" = 1')], "cohesoin", "'cohesion'"),
-    ([(WAVE, ""), ("[effects]", "[effects.strength_wave]\namplitude = 0.3\n\nwavelength = '2 s'\n[effects]")],
-     "'2 s'", "strength_wave.wavelength' = \"2 s\" has the wrong unit"),
-    ([(f"tow_speed = {SPEED}\n", ""),
-      ("[minimise]", "[variables.'scene.tow_speed']\nlower = '1 m/s'\n# bound\nupper = '50 N'\n[minimise]")],
-     "50 N'", "'scene.tow_speed' upper = \"50 N\" has the wrong unit"),
-    ([('duration = "2 s"', "duration = '2 s' # tow_sped\ntow_sped = 2")], "tow_sped = 2", "'scene.tow_sped'"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("places", "fragment", "piece"),
-    FORMS,
-    ids=["inline table", "dotted", "quoted, over two lines", "table of its own", "variable", "named before"],
-)
+@pytest.mark.parametrize(("places", "fragment", "piece"), WRONG["forms"])
 def test_a_key_is_found_in_any_form(blames, places, fragment, piece):
     blames("# a\u0085comment\u2028\n\n# = [not] a key\n" + changed(*places), fragment, piece)
 
 
-SEVERAL = [
-    ([("tow_speed", "tow_sped"), ("damping", "dampin"), ('"20 kg"', '"20 m"')], ["tow_sped", "20 m", "dampin"]),
-    ([('lower = "5 deg"', 'lower = "65 deg"'), ('lower = "0.1 m"', 'lower = "0.9 m"'),
-      ("half_angle", "half_angel"), ("force_rms  =", "force_rsm =")],
-     ["65 deg", "0.9 m", "force_rsm", "half_angel"]),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("places", "blamed"), SEVERAL, ids=["keys and units", "names, bounds and limits"])
+@pytest.mark.parametrize(("places", "blamed"), WRONG["several"])
 def test_all_mistakes_are_listed_in_the_order_of_the_file(refusal, places, blamed):
     text = changed(*places)
     lines = [int(number) for number in re.findall(r"^share\.toml, line (\d+): ", refusal(text), flags=re.MULTILINE)]

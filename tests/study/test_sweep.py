@@ -27,7 +27,6 @@ from scipy.stats import qmc
 import plough_opt as po
 from plough_opt.problem_file.sweep import ProblemSweep
 from plough_opt.studies.sweep import engine
-from plough_opt.studies.sweep.pool import work
 from plough_opt.studies.sweep.question import PointGrid, PointSample, digest_of
 
 # --- sweeps of functions: points of grids and samples, results, failures, tables and stores; invalid sweeps ---
@@ -197,16 +196,6 @@ def test_a_broken_executor_is_reported_and_stored_points_remain(tmp_path):
     (tmp_path / "cured").touch()  # another run may continue at once
     with po.sweep(swept.Deadly(tmp_path / "died"), {"a": np.arange(8.0)}, workers=1, store=store) as found:
         assert found.complete
-
-
-def test_a_worker_returns_finished_points_when_its_time_is_up():
-    values = np.array([[0.5, 1.0], [0.6, 1.0], [0.7, 1.0]])
-    assert work("any", swept.waves, ("a", "b"), values, 0.0).points == 1
-    assert work("any", swept.waves, ("a", "b"), values, math.inf).points == 3
-    # Nor does it mix results of different names.
-    assert work("other", swept.two_names, ("a",), np.array([[1.0], [1.5], [2.0]]), math.inf).points == 2
-    # So every point is stored within a second.
-    assert engine._BUDGET + engine._WAIT < 1.0
 
 
 UNGUARDED = """

@@ -562,7 +562,7 @@ def models(task: Task, motion: Reference | None, periodic: Reference | None) -> 
         contestants.append(Contestant("model", "harmonic balance", stand_in, errors, balances, chosen, _counted))
         if transient:
             once = partial(prepared, around)
-            contestants.append(Contestant("model", "lasting orbit", once, errors, settings, always, text))
+            contestants.append(Contestant("model", "periodic orbit", once, errors, settings, always, text))
     return task.ranked(contestants, "lasting averages" if transient else "averages")
 
 

@@ -36,7 +36,7 @@ MACHINE_CODE: Final = "machine code"
 SEARCH: Final = "search"
 """Family of the searches for the optimum of a design."""
 
-# Names of the references, which are keys of saved studies.
+# Names of the references, which are keys of saved studies. Readers see "periodic" in place of "lasting".
 MOTION = "motion"
 LASTING = "lasting orbit"
 DERIVATIVES = "gradient"
@@ -298,7 +298,9 @@ class AccuracyStudy(Saveable):
         names = ("family", "method", "setting", "seconds", "setup", "failure")
         columns: dict[str, Any] = {name: [getattr(entry, name) for entry in self.entries] for name in names}
         errors = dict.fromkeys(key for entry in self.entries for key in entry.errors)
-        columns |= {f"error of {key}": [entry.errors.get(key, math.nan) for entry in self.entries] for key in errors}
+        for key in errors:
+            heading = f"error of {key.replace('lasting', 'periodic')}"
+            columns[heading] = [entry.errors.get(key, math.nan) for entry in self.entries]
         return data_frame(columns, {name: "s" if name in ("seconds", "setup") else "" for name in columns})
 
     def table(self, question: Question) -> Grid:

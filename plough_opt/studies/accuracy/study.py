@@ -450,7 +450,7 @@ def _contests(
         try:
             return find()
         except PloughError as error:
-            notes.append(f"no reference for the {name}: {error}")
+            notes.append(f"no reference for the {name.replace('lasting', 'periodic')}: {error}")
             return None
 
     def reference(name: str, of: Scene, duration: float | None) -> Reference | None:

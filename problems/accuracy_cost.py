@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from rich.console import Console
 
 import plough_opt as po
@@ -84,15 +83,14 @@ def figure_of(found: dict[str, po.AccuracyStudy]) -> Figure:
     """Return a figure with a panel for each scene, and one that explains them."""
     figure = Figure(figsize=(12.0, 7.8), layout="constrained")
     places = list(figure.subplots(2, 3).ravel())
-    lines: dict[str, Line2D] = {}
     for axes, (name, study) in zip(places, found.items(), strict=False):
-        lines |= result.draw(axes, study, study.questions[0])
+        result.draw(axes, study, study.questions[0])
         axes.set_title(name[0].upper() + name[1:])
         # The same scales everywhere, so that scenes can be compared.
         axes.set(xlim=(7e-6, 2.0), ylim=(1e-18, 3.0))
     for axes in places[len(found) :]:
         axes.set_axis_off()
-    result.legend(places[-1], lines, loc="center", fontsize="medium", ncols=1, frameon=False)
+    result.legend(places[-1], places[: len(found)], loc="center")
     figure.suptitle("What accuracy costs: error of mean draft and RMS force against the time of one run", fontsize=14)
     return figure
 

@@ -24,6 +24,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias
 from plough_opt.core.errors import InputError, short, shown, unprintable
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Content: TypeAlias = str | bytes | Callable[[IO[bytes]], object]
@@ -358,6 +359,18 @@ def written(figure: Figure, target: str | Path | None) -> Figure:
     if target is not None:
         save_figure(figure, target)
     return figure
+
+
+def figure_with_panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its panels, row by row, each of a size [inch]; the places after them stay empty."""
+    from matplotlib.figure import Figure
+
+    rows = max(1, -(-count // columns))
+    figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
+    places = [*figure.subplots(rows, columns, squeeze=False).flat]
+    for axes in places[count:]:
+        axes.set_visible(False)
+    return figure, places[:count]
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:

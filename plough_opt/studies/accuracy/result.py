@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import COLOURS, written
+from plough_opt.core.files import COLOURS, figure_with_panels, written
 from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 
 AUTO: Final = "auto"
@@ -466,17 +465,14 @@ def error_text(error: float) -> str:
 
 # --- the picture: a panel for each question, on logarithmic axes ---
 
-# Colour and marker of each method that every study has.
-_METHODS: Final = ("dop853", "erk", "rosenbrock", "cvodes", "collocation", "idas", "rk")
-_STYLES: Final[dict[str, tuple[str, str]]] = {
-    AUTO: ("#000000", "*"), COMPILED: ("#777777", "*"), BARE: ("#000088", "o"),
-    **dict(zip(_METHODS, zip(COLOURS, "os^vPDX", strict=True), strict=True)),
-}  # fmt: skip
-_MODELS: Final = {"quasi-static": "h", "linearised": "<", "harmonic balance": ">", "lasting orbit": "p"}
-_SHAPES: Final = "D^v<>PXhp"
+# Methods that studies of a motion have, each with the same look in every picture. With seven colours and twelve markers
+# the first to look alike are the 1st and the 85th.
+_METHODS: Final = (
+    AUTO, COMPILED, BARE, "dop853", "erk", "rosenbrock", "cvodes", "collocation", "idas", "rk", "quasi-static",
+    "linearised", "harmonic balance", "periodic orbit",
+)  # fmt: skip
+_MARKERS: Final = "*os^vDPX<>hp"
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
-# Number of characters of a name above which the legend has one column.
-_LONG_NAME: Final = 20
 # Ratio of the times at the ends of an axis -> digits to number on an axis that spans less.
 _DIGITS: Final = {6.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 60.0: (1.0, 2.0, 5.0)}
 # Smaller errors are drawn at this one, since 0 has no place on a logarithmic axis.
@@ -484,35 +480,28 @@ _LEAST: Final = 1e-19
 
 
 def style_of(method: str, number: int) -> dict[str, Any]:
-    """Return colour and marker of a method; for a method without a fixed style, those of a number."""
-    if method in _STYLES:
-        color, marker = _STYLES[method]
-        return {"color": color, "marker": marker, "markersize": 9 if marker == "*" else 5.5}
-    color, marker = COLOURS[number % len(COLOURS)], _SHAPES[number % len(_SHAPES)]
-    if method in _MODELS:
-        color, marker = "#444444", _MODELS[method]
-    # Hollow, so that it does not look like a method with a fixed style.
-    return {"color": color, "marker": marker, "markersize": 6.5, "markerfacecolor": "white"}
+    """Return colour and marker of a method; ``number`` tells those apart that no other study has."""
+    k = _METHODS.index(method) if method in _METHODS else len(_METHODS) + number
+    marker = _MARKERS[k % len(_MARKERS)]
+    return {"color": COLOURS[k % len(COLOURS)], "marker": marker, "markersize": 9 if marker == "*" else 5.5}
 
 
-def draw(axes: Axes, study: AccuracyStudy, question: Question) -> dict[str, Line2D]:
-    """Draw error against time of a question's entries; return the lines of its methods by name, for a legend."""
+def draw(axes: Axes, study: AccuracyStudy, question: Question) -> None:
+    """Draw error against time of a question's entries, each method with a label for `legend`."""
     entries, floor = study.of(question), study.floors[question.reference]
-    lines: dict[str, Line2D] = {}
 
     def points(chosen: Sequence[MethodResult], least: float = _LEAST) -> tuple[list[float], list[float]]:
         return [e.seconds for e in chosen], [max(e.errors[question.error], least) for e in chosen]
 
-    axes.step(*points(study.front(question), max(floor, _LEAST)), where="post", color=_FRONT, linewidth=6.0, alpha=0.75,
-              zorder=1, solid_capstyle="round", label="efficient front")  # fmt: skip
     for number, method in enumerate(dict.fromkeys(entry.method for entry in entries)):
         chosen = sorted((e for e in entries if e.method == method), key=lambda e: -e.errors[question.error])
-        (lines[method],) = axes.plot(*points(chosen), linewidth=1.0, zorder=3, label=method, **style_of(method, number))
+        axes.plot(*points(chosen), linewidth=1.0, zorder=3, label=method, **style_of(method, number))
+    axes.step(*points(study.front(question), max(floor, _LEAST)), where="post", color=_FRONT, linewidth=6.0, alpha=0.75,
+              zorder=1, solid_capstyle="round", label="efficient front")  # fmt: skip
     default = [entry for entry in entries if (entry.method, entry.setting) == question.default]
     axes.plot(*points(default), "o", markersize=15, markerfacecolor="none", markeredgecolor="black",
-              markeredgewidth=1.1, zorder=4)  # fmt: skip
+              markeredgewidth=1.1, zorder=4, label="the default")  # fmt: skip
     _dress(axes, question.title, points(entries)[1], floor, study.wanted)
-    return lines
 
 
 def _dress(axes: Axes, title: str, errors: Sequence[float], floor: float, wanted: float) -> None:
@@ -523,8 +512,9 @@ def _dress(axes: Axes, title: str, errors: Sequence[float], floor: float, wanted
     low = 10.0 ** math.floor(math.log10(min(floor, *errors)) - 0.7)
     high = 10.0 ** math.ceil(math.log10(max(wanted, *errors)) + 0.3)
     axes.set_ylim(low, high)
-    axes.axhspan(_LEAST**2, floor, facecolor=_FLOOR, edgecolor="#999999", hatch="///", linewidth=0.0, zorder=0)
-    axes.axhline(wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
+    axes.axhline(wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2, label="wanted error")
+    axes.axhspan(_LEAST**2, floor, facecolor=_FLOOR, edgecolor="#999999", hatch="///", linewidth=0.0, zorder=0,
+                 label="below the reference's own error")  # fmt: skip
     # Powers of ten alone would leave a short axis a single number.
     left, right = axes.get_xlim()
     digits = next((digits for ratio, digits in _DIGITS.items() if right < ratio * left), (1.0,))
@@ -535,40 +525,25 @@ def _dress(axes: Axes, title: str, errors: Sequence[float], floor: float, wanted
     axes.grid(alpha=0.25)
 
 
-def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> None:
-    """Add a legend for methods, front, wanted error, default, and the reference's own error."""
-    from matplotlib.lines import Line2D
-
-    circle: Any = {"linestyle": "none", "marker": "o", "markersize": 13, "markerfacecolor": "none"}
-    handles: list[Any] = [
-        *lines.values(),
-        Line2D([], [], color=_FRONT, linewidth=6.0, alpha=0.75, label="efficient front"),
-        Line2D([], [], color="black", linestyle=(0, (4, 3)), linewidth=1.0, label="wanted error"),
-        Line2D([], [], **circle, markeredgecolor="black", label="the default"),
-        Line2D([], [], color="#999999", linewidth=8.0, alpha=0.6, label="below the reference's own error"),
-    ]
-    target.legend(handles=handles, **where)
+def legend(target: Axes | Figure, panels: Sequence[Axes], **where: Any) -> None:
+    """Add one legend for everything that panels show, each label once."""
+    shown = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    target.legend([*shown.values()], [*shown], fontsize="small", frameon=False, **where)
 
 
 def _figure_of(study: AccuracyStudy) -> Figure:
     """Return a figure with a panel for each question, and a legend: below two panels, or else in its own panel."""
-    from matplotlib.figure import Figure
-
     questions = study.questions
     below = len(questions) == 2
-    rows = 1 if below else len(questions) // 2 + 1
-    figure = Figure(figsize=(10.8, 4.1 * rows + (1.1 if below else 0.0)), layout="constrained")
-    places = list(figure.subplots(rows, 2).ravel())
-    lines: dict[str, Line2D] = {}
-    for axes, question in zip(places, questions, strict=False):
-        lines |= draw(axes, study, question)
-    for axes in places[len(questions) :]:
-        axes.set_axis_off()
-    ncols = 1 if max(map(len, lines), default=0) > _LONG_NAME else 2
+    height = 4.7 if below else 4.1
+    figure, panels = figure_with_panels(len(questions) if below else len(questions) + 1, 2, (5.4, height))
+    for axes, question in zip(panels, questions, strict=False):
+        draw(axes, study, question)
     if below:
-        legend(figure, lines, loc="outside lower center", fontsize="small", ncols=2 * ncols, frameon=False)
+        legend(figure, panels, loc="outside lower center", ncols=4)
     else:
-        legend(places[len(questions)], lines, loc="center", fontsize="small", ncols=ncols, frameon=False)
+        panels[-1].set_axis_off()
+        legend(panels[-1], panels[:-1], loc="center", ncols=2)
     if study.title:
         figure.suptitle(study.title)
     return figure

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError, counted
-from plough_opt.core.files import COLOURS, write_file, written
+from plough_opt.core.files import COLOURS, figure_with_panels, write_file, written
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
@@ -429,42 +429,30 @@ def _figure_of(swept: Sweep) -> Figure:
 
     Points are not connected, because there may be a resonance between them.
     """
-    names = swept.results[:_MOST_ROWS]
-    if len(swept) > _MOST_DOTS or len(swept.names) > 2:
-        return _panels(swept, names, swept.names[:_MOST_COLUMNS])
-    rows = -(-max(1, len(names)) // 2)
-    figure, every = _empty_panels(rows, 2, (5.0, 3.2))
+    names, keys = swept.results[:_MOST_ROWS], swept.names
+    if len(swept) > _MOST_DOTS or len(keys) > 2:
+        return _figure_of_many(swept, names, keys[:_MOST_COLUMNS])
+    figure, panels = figure_with_panels(len(names), 2, (5.0, 3.2))
     colours: dict[str, Any] = {"color": COLOURS[0]}
-    if len(swept.names) > 1:
-        shades, shades_label = swept.shown(swept.names[1])
+    if len(keys) > 1:
+        shades, shades_label = swept.shown(keys[1])
         colours = {"c": shades, "cmap": "viridis", "norm": _scale(shades)}
-    for axes in every.flat[len(names) :]:
-        axes.set_visible(False)
-    for axes, name in zip(every.flat, names, strict=False):
-        points = _draw_points(axes, swept, swept.names[0], name, colours)
-    if len(swept.names) > 1 and names:
-        figure.colorbar(points, ax=list(every.flat[: len(names)]), label=shades_label)
+    for axes, name in zip(panels, names, strict=True):
+        points = _draw_points(axes, swept, keys[0], name, colours)
+    if len(keys) > 1 and names:
+        figure.colorbar(points, ax=panels, label=shades_label)
     return figure
 
 
-def _panels(swept: Sweep, names: Sequence[str], keys: Sequence[str]) -> Figure:
+def _figure_of_many(swept: Sweep, names: Sequence[str], keys: Sequence[str]) -> Figure:
     """Draw each result in a row and each swept quantity in a column; many points as their density."""
-    figure, every = _empty_panels(max(1, len(names)), len(keys), (3.6, 2.4))
-    for row, name in zip(every, names, strict=False):
-        for axes, key in zip(row, keys, strict=True):
-            _draw_points(axes, swept, key, name, {"color": COLOURS[0]})
-            axes.label_outer()
+    figure, panels = figure_with_panels(len(names) * len(keys), len(keys), (3.6, 2.4))
+    for axes, (name, key) in zip(panels, itertools.product(names, keys), strict=True):
+        _draw_points(axes, swept, key, name, {"color": COLOURS[0]})
+        axes.label_outer()
     if len(swept) > _MOST_DOTS:
         figure.suptitle("darker cells hold more points, on a logarithmic scale")
     return figure
-
-
-def _empty_panels(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, Any]:
-    """Return a figure with rows and columns of panels, each of a size [inches]."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def _scale(values: Array) -> Literal["log", "linear"]:

@@ -13,7 +13,7 @@ from scipy import stats
 from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.errors import InputError, printable
 from plough_opt.core.expressions import ByValue, is_count
-from plough_opt.core.files import COLOURS, written
+from plough_opt.core.files import COLOURS, figure_with_panels, written
 from plough_opt.core.plain_data import Array, Unsaved
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.saving import Origin, Saveable
@@ -265,18 +265,11 @@ class RobustOptimum(Saveable):
         Raises:
             InputError: a file name without a known ending, or a path that cannot be written.
         """
-        from matplotlib.figure import Figure
-
         names = list(dict.fromkeys(check.result for check in self.fresh.checks))[:_MOST_PANELS]
-        columns = 1 if len(names) < 2 else 2
-        rows = max(1, -(-len(names) // columns))
-        figure = Figure(figsize=(6.2 * columns, 4.0 * rows), layout="constrained")
+        figure, panels = figure_with_panels(len(names), 1 if len(names) < 2 else 2, (6.2, 4.0))
         heading = "over fresh samples of the soil; dashed: means"
         figure.suptitle("\n".join(part for part in (self.origin.title, heading) if part))
-        panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes in panels[len(names) :]:
-            axes.set_visible(False)
-        for axes, name in zip(panels, names, strict=False):
+        for axes, name in zip(panels, names, strict=True):
             self._draw(axes, name)
         return written(figure, target)
 

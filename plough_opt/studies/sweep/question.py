@@ -43,7 +43,7 @@ import numpy as np
 
 from plough_opt.core.checks import check_switch, plain_number, shown, whole_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import is_casadi, is_count
+from plough_opt.core.expressions import is_count
 from plough_opt.core.plain_data import Array
 
 MOST_VALUES: Final = 1_000_000
@@ -259,16 +259,22 @@ def _short(values: Array) -> str:
 _PLAIN: Final = (type(None), bool, int, float, complex, str, bytes, type(...), type(NotImplemented), range, slice)
 # Types that are identified by name, because they hold no code of a user's.
 _NAMED: Final = (BuiltinFunctionType, GetSetDescriptorType, MemberDescriptorType, WrapperDescriptorType, np.ufunc)
-# What code does, without its name and its place in a file.
-_OF_CODE: Final = (
-    "co_code", "co_consts", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount",
-    "co_posonlyargcount", "co_kwonlyargcount", "co_flags", "co_exceptiontable",
-)  # fmt: skip
+_CACHE: Final = type(functools.lru_cache(lambda: None))
+# Attributes that are the content of an object; of code what it does, without its name and its place in a file.
+_MADE_OF: Final[dict[type, tuple[str, ...]]] = {
+    CodeType: ("co_code", "co_consts", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount",
+               "co_posonlyargcount", "co_kwonlyargcount", "co_flags", "co_exceptiontable"),
+    MethodType: ("__func__", "__self__"),
+    staticmethod: ("__func__",),
+    classmethod: ("__func__",),
+    property: ("fget", "fset", "fdel"),
+    functools.cached_property: ("func",),
+    _CACHE: ("__wrapped__",),
+}  # fmt: skip
 # What Python itself keeps in a class.
 _KEPT: Final = {"__module__", "__qualname__", "__dict__", "__weakref__", "__doc__", "__annotations__",
                 "__static_attributes__", "__firstlineno__", "__annotate_func__", "__annotations_cache__",
                 "__dataclass_fields__", "__dataclass_params__", "__match_args__", "__abstractmethods__"}  # fmt: skip
-_CACHE: Final = type(functools.lru_cache(lambda: None))
 _STANDARD: Final = Path(sysconfig.get_path("stdlib")).resolve()
 
 
@@ -343,8 +349,6 @@ class _Reader:
             parts = (item.__code__, item.__defaults__, item.__kwdefaults__, item.__closure__, item.__dict__)
             imports = self._imports(item.__code__, item.__globals__.get("__package__") or "")
             return "function", (*parts, *_globals(item.__code__, item.__globals__), *imports)
-        if isinstance(item, CodeType):
-            return "code", [getattr(item, name) for name in _OF_CODE]
         if isinstance(item, _NAMED):
             owner = getattr(item, "__self__", None)
             return f"{type(item).__name__} {name or item.__name__}", () if isinstance(owner, ModuleType) else (owner,)
@@ -423,23 +427,12 @@ def _inside(item: Any) -> Iterable[Any]:
         with contextlib.suppress(ValueError):  # empty
             return (item.cell_contents,)
         return ()
-    if isinstance(item, MethodType):
-        return item.__func__, item.__self__
-    if isinstance(item, staticmethod | classmethod):
-        return (item.__func__,)
-    if isinstance(item, property):
-        return item.fget, item.fset, item.fdel
-    if isinstance(item, functools.cached_property):
-        return (item.func,)
-    if isinstance(item, _CACHE):
-        return type(item), item.__wrapped__
+    for kind, names in _MADE_OF.items():
+        if isinstance(item, kind):
+            return [getattr(item, name) for name in names]
     try:
-        if isinstance(item, ca.DM):
-            return item.shape, item.sparsity().serialize(), item.nonzeros()
-        if is_casadi(item):
+        if isinstance(item, ca.SX | ca.MX):
             return (ca.Function("item", ca.symvar(item), [item]).serialize(),)
-        if isinstance(item, ca.Function):
-            return (item.serialize(),)
         registered = copyreg.dispatch_table.get(type(item))
         made = item.__reduce_ex__(4) if registered is None else registered(item)
         parts = (made,) if isinstance(made, str) else made

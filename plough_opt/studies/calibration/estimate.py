@@ -146,7 +146,7 @@ class Minimum:
 
     Attributes:
         converged: whether it is a local optimum: no step between the bounds lowers the loss.
-        status: message of the solver.
+        status: "converged", or why it is not a local optimum.
         y: scaled unknowns.
         loss: sum of the losses.
     """
@@ -203,17 +203,19 @@ class LeastSquares:
             y[free] = x
             return self._residuals(y, data, centre)[1][:, free]
 
-        status = "all unknowns are held at the start"
+        settled = True
         if not np.all(np.isfinite(residuals(y[free]))):
             return Minimum(False, "a prediction at the start is not finite", y, np.inf)
         if np.any(free):
             loss = self._rho if self.loss.robust else "linear"
             solution = optimize.least_squares(residuals, y[free], slopes, bounds=(0.0, 1.0), loss=loss,
                                            f_scale=self.loss.size, **_TOLERANCES)  # fmt: skip
-            y[free], status = solution.x, solution.message
+            y[free], settled = solution.x, solution.success
         total = self.total(y, data)
-        converged = self._decrement(y, data, centre, free) <= _DECREMENT * max(1.0, 2.0 * total)
-        return Minimum(converged, status, y, total)
+        if self._decrement(y, data, centre, free) <= _DECREMENT * max(1.0, 2.0 * total):
+            return Minimum(True, "converged", y, total)
+        steps = f"after {_TOLERANCES['max_nfev']} steps the loss still falls"
+        return Minimum(False, "the steps became too short while the loss still falls" if settled else steps, y, total)
 
     def _residuals(self, y: Array, data: Data, centre: Array | None) -> tuple[Array, Array]:
         """Return weighted residuals and their Jacobian; a centre adds the ridge term (`RIDGE`) as further rows."""

@@ -268,7 +268,7 @@ class Fit(Saveable):
             stated sigma; if no sigma is stated, to the mean measured value, or to each prediction.
         stated: whether sigma was stated.
         errors: model of the errors if it was not: "constant" or "relative".
-        status: status of the solver.
+        status: "converged", since a fit that did not converge is refused.
         warnings: warnings about the results.
         seconds: time taken [s].
         saved_intervals: intervals in a loaded file.
@@ -492,7 +492,7 @@ class Fit(Saveable):
         relative = "of the predicted values" if self.errors == "relative" else "of the mean measured value"
         kind = "times the stated sigma" if self.stated else relative
         shown.append(f"Scatter about the fit: {self.scatter:.3g} {kind}, {self.freedom} degrees of freedom.")
-        footer = f"Converged: no step lowers the loss ({self.status}); {self.seconds:.2f} s"
+        footer = f"Converged: no step lowers the loss; {self.seconds:.2f} s"
         files = ", ".join(dict.fromkeys(row.place.partition(",")[0] for row in self.rows))
         heading = f"{len(self.unknowns)} unknowns from {len(self.rows)} rows of {files}"
         return Page(heading, tuple(shown), self.warnings, footer, self.title)

@@ -380,7 +380,7 @@ class Optimum(LocalOptimum):
         if self.bought is not None:
             parts += self.bought.comparison(self)
         if len(self.local_optima) > 1:
-            parts.append(self._others())
+            parts.append(self.optima_table("Local optima found"))
         parts += [self._free(direction) for direction in self.flat_directions]
         parts += [] if self.spread is None else [self.spread.in_words()]
         parts += [] if self.search is None else [str(self.search)]
@@ -429,9 +429,19 @@ class Optimum(LocalOptimum):
             f' them in all designs costs about {size}{" or" * more} more of the objective: over = "worst"'
         )
 
-    def _others(self) -> Grid:
+    def optima_table(self, title: str) -> Grid:
+        """Return a table of all local optima, best first.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise(height**2)
+            >>> design.solve(search="near").optima_table("Optima").rows
+            [('optimum', '0.01', '0.0101208', '100 mm')]
+        """
         judged = [] if self.spread is None else ["as made"]
-        grid = Grid.of("Local optima found", "", "objective", *judged, *self.variables)
+        grid = Grid.of(title, "", "objective", *judged, *self.variables)
         for one in self.local_optima:
             made = [] if one.spread is None else [f"{one.spread.median:.6g}"]
             cells = (self.display(name).result(value) for name, value in one.variables.items())

@@ -217,11 +217,8 @@ class RobustOptimum(Saveable):
         parts: list[Part] = [_soil_table(self.robust.field, self.origin), _design_table(self.best, self.nominal)]
         required = _limits_table(self.best, self.requirements, self.origin)
         parts += [required] if required.rows else []
-        optima = Grid.of("All robust optima found", "", "objective", *self.best.variables)
-        for optimum in self.best.local_optima:
-            cells = (self.best.display(name).result(value) for name, value in optimum.variables.items())
-            optima.row(optimum.name, f"{optimum.objective:.{OBJECTIVE_DIGITS}g}", *cells)
-        parts += [optima] if len(optima.rows) > 1 else []
+        if len(self.best.local_optima) > 1:
+            parts.append(self.best.optima_table("All robust optima found"))
         parts.append(_checks_table(checks, self.nominal_fresh.checks, self.fresh.samples, self.origin))
         parts += [f"* {text}" for check in checks for text in _remarks_on(check, self.origin)]
         parts += [_indices_table(self.indices)] if self.indices else []

@@ -30,6 +30,8 @@ SURFACE_GAP = 1.75
 ACROSS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
 """Two orthonormal directions across (1, 1, 1), as columns."""
 
+# Designs outside a triangle by no more than this part of its size lie on its side.
+_ROUNDING = 1e-12
 # Designs compared with a front at once, which bounds the memory that takes.
 _CHUNK = 20_000
 # A knee lies at least this far below the line, or the plane, through the best point of each objective.
@@ -163,20 +165,32 @@ def _depth_below_surface(front: Array, designs: Array, step: float) -> Array:
 
     Infinite in holes of the surface and beyond its edges.
     """
-    from matplotlib.tri import LinearTriInterpolator, Triangulation  # slow to import
+    from scipy.spatial import Delaunay, QhullError  # slow to import, and every problem file imports this module
 
-    outside = np.full(len(designs), np.inf)
+    depth = np.full(len(designs), np.inf)
     try:
-        surface = Triangulation(*(front @ ACROSS).T)
-    except (RuntimeError, ValueError):  # too few points, or all on a line
-        return outside
-    heights = front.mean(axis=1)
-    corners = (front - heights[:, None])[surface.triangles]
-    surface.set_mask(np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=(1, 2)) > SURFACE_GAP * step)
-    if np.all(surface.mask):
-        return outside
-    above = LinearTriInterpolator(surface, heights)(*(designs @ ACROSS).T)
-    return np.asarray(above.filled(np.inf) - designs.mean(axis=1))
+        triangles = Delaunay(front @ ACROSS).simplices
+    except (QhullError, ValueError):  # too few points, or all on a line
+        return depth
+    corners = front[triangles]
+    heights = corners.mean(axis=2)
+    locations = corners - heights[:, :, None]
+    sides = np.abs(locations - np.roll(locations, 1, axis=1)).max(axis=(1, 2))
+    # SciPy would find the triangle of each design by LAPACK on matrices of 2 x 2, whose threads cost a hundred times as
+    # much as the arithmetic.
+    order = np.argsort(designs @ ACROSS[:, 0], kind="stable")
+    u, v = (designs[order] @ ACROSS).T
+    mean = designs[order].mean(axis=1)
+    for k in np.flatnonzero(sides <= SURFACE_GAP * step):
+        (au, av), (bu, bv), (cu, cv) = corners[k] @ ACROSS
+        first, last = np.searchsorted(u, [min(au, bu, cu), max(au, bu, cu)], side="left").tolist()
+        pu, pv = u[first:last] - cu, v[first:last] - cv
+        twice_area = (au - cu) * (bv - cv) - (bu - cu) * (av - cv)
+        a, b = (pu * (bv - cv) - (bu - cu) * pv) / twice_area, ((au - cu) * pv - pu * (av - cv)) / twice_area
+        inside = np.flatnonzero((a >= -_ROUNDING) & (b >= -_ROUNDING) & (a + b <= 1.0 + _ROUNDING))
+        height = heights[k] @ np.array([a[inside], b[inside], 1.0 - a[inside] - b[inside]])
+        depth[order[first + inside]] = height - mean[first + inside]
+    return depth
 
 
 def volume(front: Array, reference: Array) -> float:

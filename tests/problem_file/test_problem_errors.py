@@ -9,9 +9,6 @@ from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed, refused_
 import plough_opt as po
 from plough_opt.problem_file.sweep import ProblemSweep
 
-SOIL = 'name = "serozem"'
-SPEED = '"7.2 km/h"'
-
 WRONG = refused_files()
 # Besides what is in refused.toml: long or deep, and with characters that cannot be printed.
 MISTAKES = [
@@ -35,7 +32,7 @@ def test_what_is_wrong_is_refused_at_its_line_with_what_was_expected(blames, old
 
 
 def test_a_file_without_a_table_that_it_needs_is_refused(refusal):
-    assert "share.toml: 'scene' is missing" in refusal(f"[soil]\n{SOIL}\n")
+    assert "share.toml: 'scene' is missing" in refusal('[soil]\nname = "serozem"\n')
 
 
 def test_a_variable_whose_dots_are_not_quoted_is_read_all_the_same(read):
@@ -95,7 +92,7 @@ def test_a_file_that_cannot_be_read_is_refused_with_the_nearest_name(tmp_path, n
         po.read_problem(tmp_path / name)
 
 
-@pytest.mark.parametrize("place", [SPEED, '"serozem"', '"0.1 m"', '"0.15 m"'], ids=["value", "name", "bound", "limit"])
+@pytest.mark.parametrize("place", ['"7.2 km/h"', '"serozem"', '"0.1 m"', '"0.15 m"'])
 def test_a_file_can_run_no_code(tmp_path, monkeypatch, refusal, place):
     monkeypatch.chdir(tmp_path)
     for code in ("__import__('pathlib').Path('ran').touch()", "open('ran', 'w') m/s"):

@@ -220,21 +220,17 @@ def _with_guess(number, *guess):
     return replace(problem, variables=tuple(variables))
 
 
-def seeds(first):
-    """Return five seeds, of which all but the first are slow."""
-    return pytest.mark.parametrize(
-        "seed", [k if k == first else pytest.param(k, marks=pytest.mark.slow) for k in range(5)]
-    )
+seeds = pytest.mark.parametrize("seed", SEEDS)
 
 
-@seeds(1)
+@seeds
 def test_the_guess_decides_nothing(seed):
     best = as_design(_with_guess(NARROW, 0.5, 0.2, 1e6))[0].solve(seed=seed)
     verdict = study.judge(*REPRODUCTION[NARROW], best.variables)
     assert verdict.right, verdict
 
 
-@seeds(2)
+@seeds
 def test_the_searched_variables_may_be_named(seed):
     best = as_design(REPRODUCTION[SPEED_AND_MASS][0])[0].solve(search=["stiffness", "tow speed"], seed=seed)
     assert best.variables["tow speed"] == pytest.approx(0.8, rel=1e-7)
@@ -250,7 +246,7 @@ def test_a_needle_is_recognised():
     assert best.spread.median > 1.5 * best.objective
 
 
-@seeds(3)
+@seeds
 def test_ripples_of_a_basin_are_not_separate_optima(seed):
     problem = replace(REPRODUCTION[RIPPLED][0], objective={"mean_draft": 1e-3})
     best = as_design(problem)[0].solve(seed=seed)
@@ -261,7 +257,7 @@ def test_ripples_of_a_basin_are_not_separate_optima(seed):
     assert best.search.polished <= 10
 
 
-@seeds(0)
+@seeds
 def test_a_guess_at_the_optimum_is_solved(seed):
     d, height = design(height=(0.25, 0.15, 0.4, "m"))
     d.minimise(((height - 0.3) ** 2 - 0.0025) ** 2 * 1e4)
@@ -332,8 +328,6 @@ def test_a_law_may_depend_on_a_runs_result():
 SEARCHED = {number: problem for number, (problem, _) in study.problems("search").items()}
 OF_ONE = [number for number, problem in SEARCHED.items() if len(problem.variables) == 1]
 OF_SEVERAL = [number for number, problem in SEARCHED.items() if 2 <= len(problem.variables) <= 5]
-# Solved by default; the slow tests solve all.
-FEW_OF_ONE, FEW_OF_SEVERAL = OF_ONE[:6], OF_SEVERAL[:4]
 GRID = np.linspace(0.0, 1.0, 4001)
 # A rise of less than a thousandth on the way down is a ripple within a basin. A grid needs half as much again.
 RIPPLE = 1.5e-3
@@ -361,10 +355,6 @@ def _guesses(number, count, dimensions):
     return np.random.default_rng([number, 11]).random((count, dimensions))
 
 
-def _selected(every, few):
-    return [pytest.param(k, id=str(k), marks=() if k in few else pytest.mark.slow) for k in every]
-
-
 # --- one variable: a walk downhill on a grid ---------------------------------------------------------------
 
 
@@ -378,7 +368,7 @@ def _walked(f, feasible, start):
         k = min(beside, key=lambda j: f[j])
 
 
-@pytest.mark.parametrize("number", _selected(OF_ONE, FEW_OF_ONE))
+@pytest.mark.parametrize("number", OF_ONE)
 def test_the_basin_of_the_guess_or_of_the_nearest_feasible_design_is_kept(number):
     problem = SEARCHED[number]
     f, feasible = _at(problem, GRID[:, None])
@@ -403,7 +393,7 @@ def test_the_basin_of_the_guess_or_of_the_nearest_feasible_design_is_kept(number
 # --- several variables: never worse than a feasible guess -----------------------------------------------------
 
 
-@pytest.mark.parametrize("number", _selected(OF_SEVERAL, FEW_OF_SEVERAL))
+@pytest.mark.parametrize("number", OF_SEVERAL)
 def test_a_local_optimum_no_worse_than_the_guess(number):
     problem = SEARCHED[number]
     guesses = _guesses(number, 4096, len(problem.variables))

@@ -10,7 +10,6 @@ import pytest
 from helpers import equations
 from helpers.differences import differences
 from helpers.scenes import R1_SOIL, SHARP
-from helpers.scenes import R1_SOIL as SOIL
 from helpers.small_designs import design
 from scipy.optimize import minimize, minimize_scalar
 
@@ -32,7 +31,7 @@ def half_angle(wedge_angle):
 def forces(wedge_angle, height):
     """Return F0 [N] and Fd [N s^2/m^2]."""
     share = {"wedge_angle": wedge_angle, "chisel_angle": CHISEL, "height": height}
-    return equations.forces(vars(SOIL) | share, math)[:2]
+    return equations.forces(vars(R1_SOIL) | share, math)[:2]
 
 
 def draft(x):
@@ -43,12 +42,12 @@ def draft(x):
 
 def radius(x):
     """Return the loosened radius [m] by equation (16)."""
-    return x[1] * math.tan(half_angle(x[0])) / math.sqrt(1.0 - SOIL.density_ratio)
+    return x[1] * math.tan(half_angle(x[0])) / math.sqrt(1.0 - R1_SOIL.density_ratio)
 
 
 def angle_for(wanted, height):
     """Return the wedge angle [rad] at which a share loosens a radius, by equations (7) and (16)."""
-    slope = wanted * math.sqrt(1.0 - SOIL.density_ratio) / height
+    slope = wanted * math.sqrt(1.0 - R1_SOIL.density_ratio) / height
     sine = slope / math.hypot(1.0, slope)
     return math.atan(math.pi * math.cos(CHISEL) ** 2 * sine / (1.0 - sine**2))
 
@@ -89,10 +88,10 @@ class Question:
         )
         share = po.Wedge(angle, CHISEL, height)
         effects = po.Effects(motion=False, strength_wave=po.StrengthWave(AMPLITUDE, WAVELENGTH))
-        run = po.simulate(po.Scene(SOIL, share, k0, 24.0, SPEED, effects), DURATION)
+        run = po.simulate(po.Scene(R1_SOIL, share, k0, 24.0, SPEED, effects), DURATION)
         d.minimise(OBJECTIVES[self.objective](run.mean_draft, run.force_rms, height, k0))
         found = {
-            "loosened radius": po.loosened_radius(share.equivalent_cone(), SOIL),
+            "loosened radius": po.loosened_radius(share.equivalent_cone(), R1_SOIL),
             "largest half angle": share.equivalent_cone().half_angle,
             "mean deflection": run.mean_deflection,
         }
@@ -314,9 +313,9 @@ def test_a_variable_between_bounds_that_nearly_touch(width, log):
     angle = d.variable("wedge angle", guess=0.4, lower=0.1, upper=1.0)
     height = d.variable("height", guess=0.25, lower=0.25, upper=0.25 * (1.0 + width), log=log)
     share = po.Wedge(angle, CHISEL, height)
-    run = po.simulate(po.Scene(SOIL, share, 5e4, 24.0, SPEED, po.Effects(motion=False)), 1.0)
+    run = po.simulate(po.Scene(R1_SOIL, share, 5e4, 24.0, SPEED, po.Effects(motion=False)), 1.0)
     d.minimise(run.mean_draft / 1e3)
-    d.require("radius", po.loosened_radius(share.equivalent_cone(), SOIL), at_least=0.12)
+    d.require("radius", po.loosened_radius(share.equivalent_cone(), R1_SOIL), at_least=0.12)
     best = d.solve()
     assert 0.25 <= best.variables["height"] <= 0.25 * (1.0 + width)
     # The angle is what the radius needs at that height.
@@ -348,9 +347,9 @@ def test_variables_eighteen_orders_of_magnitude_apart(log):
     play = d.variable("play", guess=5e-7, lower=1e-8, upper=1e-6, unit="m", log=log)
     height = d.variable("height", guess=0.3, lower=0.1, upper=0.5, unit="m")
     share = po.Wedge(0.4, CHISEL, height)
-    run = po.simulate(po.Scene(SOIL, share, k0, 24.0, SPEED, po.Effects(motion=False)), 1.0)
+    run = po.simulate(po.Scene(R1_SOIL, share, k0, 24.0, SPEED, po.Effects(motion=False)), 1.0)
     d.minimise(run.mean_draft / 1e3 + k0 / 1e12 + 1e-7 / play)
-    d.require("radius", po.loosened_radius(share.equivalent_cone(), SOIL), at_least=0.1)
+    d.require("radius", po.loosened_radius(share.equivalent_cone(), R1_SOIL), at_least=0.1)
     d.require("travel", play + 100.0 * run.mean_deflection, at_most=5e-7)
     best = d.solve()
     # The height is what the radius needs, and the stiffness what the play leaves: one number is free.

@@ -38,21 +38,21 @@ CASES = {
     "weak": {"strength_wave": po.StrengthWave(1e-5, 0.6), "damping": 100.0},
     "retreating": {"height": 0.5, "stiffness": 3e4, "strength_wave": FULL},
     "light": {"added_mass": False, "ambient_pressure": False, "damping": 50.0},
+    "stiffest": {"stiffness": 1e9},
+    "stiffest and damped": {"stiffness": 1e9, "damping": 2e4},
 }
-STIFFEST = {"stiffest": {"stiffness": 1e9}, "stiffest and damped": {"stiffness": 1e9, "damping": 2e4}}
-SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in STIFFEST]
 
 
 @pytest.fixture(scope="module")
 def case_of(r1_scene):
     def build(name, **changes):
-        own = {"strength_wave": WAVE, "orbit": "periodic"} | (CASES | STIFFEST)[name] | changes
+        own = {"strength_wave": WAVE, "orbit": "periodic"} | CASES[name] | changes
         return r1_scene(**own)
 
     return build
 
 
-@pytest.mark.parametrize("name", [*CASES, *SLOW])
+@pytest.mark.parametrize("name", CASES)
 def test_orbit_and_multipliers_are_those_that_scipy_finds_by_shooting(case_of, name):
     run = po.simulate(case_of(name), accuracy=po.Accuracy(error=1e-11), outputs=OUTPUTS)
     true = orbit(run.scene, (run.deflection[0], run.scene.tow_speed - run.speed[0]), OUTPUTS)
@@ -134,7 +134,6 @@ APPROXIMATED = {
     "stiff": {"stiffness": 1e6, "damping": 1e3},
     "stiffest": {"stiffness": 1e9, "damping": 1e4},
 }
-NOT_THE_STIFFEST = [pytest.param(name, marks=pytest.mark.slow if name == "stiffest" else ()) for name in APPROXIMATED]
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +149,7 @@ def simulated(r1_scene):
 
 
 @pytest.mark.parametrize("amplitude", [0.02, 0.3, 1.0])
-@pytest.mark.parametrize("name", NOT_THE_STIFFEST)
+@pytest.mark.parametrize("name", APPROXIMATED)
 def test_linear_response_is_that_of_the_textbook(simulated, name, amplitude):
     run = simulated(name, "linearised", amplitude)
     scene, effects, reaction = run.scene, run.scene.effects, run.scene.reaction

@@ -19,9 +19,8 @@ from plough_opt.design.model.program import error_of_derivatives
 from plough_opt.motion import simulation
 from plough_opt.motion.checks import difference
 from plough_opt.motion.compiled_steps import compiled_steps
-from plough_opt.motion.derivatives import derivative_error, jets
+from plough_opt.motion.derivatives import jets
 from plough_opt.motion.equation import Structure, equation_of, parameters
-from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import DOP853, METHODS, Tableau
 from plough_opt.motion.steps import Timeline
 from plough_opt.studies.accuracy.reference import reference_run
@@ -223,31 +222,6 @@ DURATION = 0.5
 
 def scene(stiffness=5e4, **effects):
     return scene_of(stiffness=stiffness, mass=45.0, **{"start": "rest", "damping": 300.0} | effects)
-
-
-@pytest.mark.parametrize(
-    "effects", [{}, {"tow_ramp": 0.2}, {"contact": po.Smooth(1.0)}], ids=["rest", "ramp", "smooth"]
-)
-@pytest.mark.parametrize(("outputs", "steps"), [(1, 16), (1, 24), (1, 48), (24, 8)])
-def test_the_error_is_that_of_the_means_from_many_steps(effects, outputs, steps):
-    own = scene(**effects)
-    structure, p = Structure.of(own), parameters(own)
-    names = equation_of(structure).names
-    given = np.array([*(float(p[name]) for name in names), DURATION])
-    varying = tuple(names.index(name) for name in ("stiffness", "static"))
-    solvers = [
-        integration(structure, po.Accuracy("dop853", steps=n), Timeline(outputs, n, moving=True)) for n in (steps, 800)
-    ]
-    averages = 2 * (outputs + 1)
-    found = derivative_error(solvers[0], averages, varying, given[:, None])
-    coarse, exact = (np.asarray(jets(equation_of(structure), one.timeline, varying, 2)(given)) for one in solvers)
-    scales = given[list(varying)]
-    sizes = np.array([1.0, *scales, scales[0] ** 2, scales[0] * scales[1], scales[1] ** 2])
-    wrong, large = (np.max(np.abs(part[averages:]) * sizes, axis=1) for part in (coarse - exact, exact))
-    rows = wrong / large
-    # The estimate compares with half as many steps again, which leave a twenty-fifth of the error, and more across
-    # kinks; and it covers both parameters together.
-    assert np.max(rows) / 2.0 < found < 2.0 * np.max(rows)
 
 
 def design(accuracy, **effects):
@@ -463,13 +437,7 @@ def test_few_outputs_let_no_event_pass(gapped):
     assert len(few.time) == len(few.mode) == len(few.opening) == 4
 
 
-SENSITIVE = [
-    pytest.param("resisting", 4.0, id="resisting"),
-    pytest.param(po.StickSlip(2.0), 12.0, id="stick_slip", marks=pytest.mark.slow),
-]
-
-
-@pytest.mark.parametrize(("contact", "duration"), SENSITIVE)
+@pytest.mark.parametrize(("contact", "duration"), [("resisting", 4.0), (po.StickSlip(2.0), 12.0)], ids=str)
 def test_a_motion_too_sensitive_to_be_predicted_carries_a_warning(contact, duration):
     # Each wave stops the undamped share, and deviations grow about tenfold from one to the next.
     effects = {"strength_wave": po.StrengthWave(0.95, 0.1), "inertial_drag": False, "contact": contact}

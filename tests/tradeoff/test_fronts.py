@@ -4,6 +4,7 @@ import csv
 import io
 import itertools
 import math
+import time
 from dataclasses import replace
 from itertools import pairwise
 
@@ -18,17 +19,15 @@ from matplotlib.figure import Figure
 import plough_opt as po
 from plough_opt.app.terminal import print_page
 from plough_opt.core.screen import Screen
+from plough_opt.design.model import program as program_module
 from plough_opt.problem_file.sweep import SimulationOfMany
-from plough_opt.studies.tradeoff.front import MissingPoint, distances, undominated
+from plough_opt.studies.tradeoff.front import MissingPoint, distances, undominated, volume
 
 # --- fronts of known shape, of a ridge, of objectives that hardly conflict, and of designs beside needles ---
 
 # Ends of the five parts of ZDT3, where the next minimum or the next level begins (Zitzler, Deb and Thiele 2000).
 ZDT3 = [(0.0, 0.0830015349), (0.1822287280, 0.2577623634), (0.4093136748, 0.4538821041), (0.6183967944, 0.6525117038),
         (0.8233317983, 0.8518328654)]  # fmt: skip
-
-
-# --- shapes -------------------------------------------------------------------------------------------------
 
 
 def test_convex_front(convex):
@@ -106,18 +105,12 @@ def test_a_front_along_an_equality(plane):
     assert front.holes == ()
 
 
-# --- anchors and positions ----------------------------------------------------------------------------------
-
-
 def test_the_design_stays_as_it_was_and_of_mirror_images_one_is_shown(plane):
     d, x, y = plane
     d.minimise((x - 0.7) ** 2 + y**2)
     rest = (y**2 - 0.25) ** 2
     assert len(po.trade_off(d, x**2 + rest, (x - 1.0) ** 2 + rest, points=5).points) == 5
     assert d.solve().variables["x"] == pytest.approx(0.7, abs=1e-6)
-
-
-# --- domination ---------------------------------------------------------------------------------------------
 
 
 def test_dominated_optima_are_kept_apart(broken):
@@ -128,9 +121,6 @@ def test_dominated_optima_are_kept_apart(broken):
     for point in broken.objectives:
         others = np.array([other.objectives for other in (*broken.points, *broken.dominated)])
         assert not np.any(np.all(others < point - 1e-7, axis=1))
-
-
-# --- rates --------------------------------------------------------------------------------------------------
 
 
 def test_rates_are_the_slope_of_the_front(convex, concave):
@@ -146,9 +136,6 @@ def test_knee_and_area(convex):
     # The area above the curve in the unit square is 1 - 1/6. The staircase of 20 steps misses about half a square each.
     assert 1.0 - 1.0 / 6.0 - 0.05 < convex.hypervolume((1.0, 1.0)) < 1.0 - 1.0 / 6.0
     assert convex.hypervolume((2.0, 1.0)) == pytest.approx(convex.hypervolume((1.0, 1.0)) + 1.0, abs=1e-6)
-
-
-# --- certificates -------------------------------------------------------------------------------------------
 
 
 def test_points_are_certified(convex, concave, broken):
@@ -586,9 +573,6 @@ def test_points_are_even(sphere):
     assert np.max(np.min(apart, axis=1)) < 1.3 / STEPS
 
 
-# --- rates --------------------------------------------------------------------------------------------------
-
-
 def test_rates_on_a_sphere(sphere):
     inner = [k for k, point in enumerate(sphere.points) if point.weights is not None and min(point.objectives) > 0.05]
     assert len(inner) > 10
@@ -652,3 +636,63 @@ def test_an_objective_that_conflicts_with_none_leaves_a_curve():
     assert [goal.name for goal in front.goals] == ["a", "b"]
     assert front.notes[0] == "'idle' does not conflict with the others: it is at its best all along their front"
     assert np.sqrt(front.objectives).sum(axis=1) == pytest.approx(1.0, abs=1e-6)
+
+
+# --- parameters and builds ----------------------------------------------------------------------------------
+
+
+def shifted():
+    """Return a design, and two objectives, the second of which has its optimum at a parameter."""
+    d, x, y = design(x=(0.4, -4.0, 4.0), y=(0.4, -4.0, 4.0))
+    c = d.parameter("c", 1.0)
+    return d, (x**2 + y**2, (x - c) ** 2 + y**2)
+
+
+def test_fronts_of_several_parameters_share_a_build(monkeypatch):
+    built = []
+    real = program_module.build_nlp
+    monkeypatch.setattr(program_module, "build_nlp", lambda *a: built.append(1) or real(*a))
+    d, goals = shifted()
+    for c in (1.0, 3.0):
+        front = po.trade_off(d, *goals, points=9, parameters={"c": c})
+        assert np.sqrt(front.objectives).sum(axis=1) == pytest.approx(c, abs=1e-8)
+    # The other objective weighs 1e-4 at the ends, and moves them by about as much.
+    assert po.trade_off(d, *goals, points=9).objectives.max() == pytest.approx(1.0, abs=3e-4)
+    assert len(built) == 2  # one, and a rough one for scans
+
+
+def test_another_question_is_built_anew():
+    d, (first, second) = shifted()
+    local = {"points": 9, "search": "local"}
+    began = time.perf_counter()
+    front = po.trade_off(d, first, second, **local)
+    assert 0.0 < front.seconds <= time.perf_counter() - began
+    assert "Only the basin of the guess was searched" in front.search
+    most = po.trade_off(d, first, po.Goal("b", -second, maximise=True), **local)
+    assert most.objectives * [1.0, -1.0] == pytest.approx(front.objectives, abs=1e-9)
+    assert -most.rates == pytest.approx(front.rates, rel=1e-6)
+    assert most.hypervolume() == pytest.approx(front.hypervolume(), rel=1e-9)
+    assert most.hypervolume((2.0, -3.0)) == pytest.approx(front.hypervolume((2.0, 3.0)), rel=1e-9)
+    assert most.in_words(4).endswith("less b")
+    d.require("kept", first, at_least=0.25)
+    assert po.trade_off(d, first, second, **local).objectives[0, 0] == pytest.approx(0.25, rel=1e-8)
+
+
+def test_of_rows_that_beat_each_other_by_rounding_one_stays():
+    # Each row is better than the next by 1.7e-7 in one objective and worse by 0.9e-7 in two, where 1e-7 is rounding.
+    turn = np.array([[0.0, 0.8, -0.9], [-0.9, 0.0, 0.8], [0.8, -0.9, 0.0]]) * 1e-7
+    assert undominated(np.vstack([turn, turn[0] + 1e-3])).tolist() == [0, 2]
+    twice = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+    assert undominated(twice).tolist() == [0, 2]
+
+
+def test_volume_is_that_of_the_boxes():
+    rng = np.random.default_rng(2)
+    points = rng.random((15, 3))
+    # Sum the cells between the points' coordinates that some point dominates.
+    cuts = [np.unique(np.r_[points[:, k], 1.1]) for k in range(3)]
+    sizes = np.einsum("i,j,k->ijk", *(np.diff(cut) for cut in cuts))
+    corners = np.stack(np.meshgrid(*(cut[:-1] for cut in cuts), indexing="ij"), axis=-1)
+    covered = np.any(np.all(corners[..., None, :] >= points, axis=-1), axis=-1)
+    assert volume(points, np.full(3, 1.1)) == pytest.approx(np.sum(sizes[covered]), rel=1e-13)
+    assert volume(points, np.zeros(3)) == 0.0

@@ -290,10 +290,7 @@ def _robust(count=8, accuracy=None, path=False, **effects):
 
 
 # Each further structure is translated by the C compiler once.
-SLOW = [pytest.param(n, marks=pytest.mark.slow) if n in ("rest", "ramp", "smooth") else n for n in EFFECTS]
-
-
-@pytest.mark.parametrize("name", SLOW)
+@pytest.mark.parametrize("name", EFFECTS)
 def test_values_over_samples_agree_with_single_simulations(name):
     # One of the scenes along the path too, and one by a named method.
     path, accuracy = name == "damper, wave", po.Accuracy("dop853", steps=200) if name == "damper" else None

@@ -134,6 +134,7 @@ VALLEYS = {
     "steep": (lambda x, y: 1.0 + 1e4 * (x - 0.25) ** 2 + (y - 0.5) ** 2, {"at_most": 3.0}, 1.0, []),
     "gentle": (lambda x, y: 1.0 + (x - 0.25) ** 2 + 1e-4 * (y - 0.5) ** 2, {"at_most": 3.0}, 1.0, []),
     "quartic": (lambda x, y: 1.0 + (x - 0.25) ** 2 + (y - 0.5) ** 4, {"at_most": 3.0}, 1.0, []),
+    "sextic": (lambda x, y: 1.0 + (x - 0.25) ** 2 + (y - 0.5) ** 6, {"at_most": 3.0}, 1.0, []),
     "corner": (lambda x, y: x + 2.0 * y + 1.0, {"at_most": 3.0}, 1.0, []),
 }
 

@@ -113,17 +113,6 @@ def test_gradient_and_hessian(symbol, case):
     cases.assert_derivatives(found, wanted, size, field.names, multiple)
 
 
-@pytest.mark.parametrize("body", ["diamond", *slow(["wedge", "ogive", "tapered"])])
-def test_second_derivatives_above_every_node(body):
-    """The field of a cone is analytic there, although its two parts (displaced section and remainder) are not."""
-    field = FIELDS["cone"]
-    for node in (0.0, *BODIES[body][0]):
-        values = inputs(node, 0.07, body, 0.7)
-        wanted, size = cases.precise(cases.precise_cone, values, (0, 1))
-        found = cases.differentiated(cases.cone, ca.SX, len(values), (0, 1))(values)
-        cases.assert_derivatives(found, wanted, size, field.names, field.derivatives)
-
-
 @fields
 @pytest.mark.parametrize("symbol", [ca.SX, *slow([ca.MX])])
 def test_at_rest_derivatives_are_finite_and_even_in_speed(kind, symbol):

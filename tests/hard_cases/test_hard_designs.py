@@ -477,15 +477,6 @@ def steady_draft(variables):
     return sharp_scene(share=share).steady_resistance / 1e3
 
 
-@pytest.mark.parametrize(("power", "within"), [(4, 1e-2), (6, 3e-2), (8, 6e-2)])
-def test_a_bottom_of_high_order_is_reached_to_rounding_of_the_objective(power, within):
-    d, x = design(x=(0.9, 0.0, 1.0))
-    d.minimise(1.0 + (x - 0.4) ** power)
-    best = d.solve()
-    assert best.objective == pytest.approx(1.0, abs=1e-10)
-    assert best.variables["x"] == pytest.approx(0.4, abs=within)
-
-
 # --- designs without a value -------------------------------------------------------
 
 PARTLY = {

@@ -43,7 +43,7 @@ import numpy as np
 
 from plough_opt.core.checks import check_switch, plain_number, shown, whole_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import is_count
+from plough_opt.core.expressions import is_casadi, is_count
 from plough_opt.core.plain_data import Array
 
 MOST_VALUES: Final = 1_000_000
@@ -431,7 +431,7 @@ def _inside(item: Any) -> Iterable[Any]:
         if isinstance(item, kind):
             return [getattr(item, name) for name in names]
     try:
-        if isinstance(item, ca.SX | ca.MX):
+        if is_casadi(item) and not isinstance(item, ca.DM):
             return (ca.Function("item", ca.symvar(item), [item]).serialize(),)
         registered = copyreg.dispatch_table.get(type(item))
         made = item.__reduce_ex__(4) if registered is None else registered(item)

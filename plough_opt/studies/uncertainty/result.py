@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from plough_opt.core.checks import check_kind, shown
@@ -144,19 +145,20 @@ def sobol_indices(
         answers.append(np.stack([values[name] for name in results]))
         return answers[-1]
 
-    uniform = [stats.uniform()] * count
-    indices = stats.sobol_indices(func=response, n=samples, dists=uniform, rng=generator)
-    # SciPy's bootstrap cannot be seeded. The third answer is that of one sample with each property from the other.
+    stats.sobol_indices(func=response, n=samples, dists=[stats.uniform()] * count, rng=generator)
+    # The third answer is that of one sample with each property from the other.
     parts = {"f_A": answers[0], "f_B": answers[1], "f_AB": np.moveaxis(answers[2].reshape(-1, samples, count), -1, 0)}
-    again = [
-        stats.sobol_indices(func={key: part[..., chosen] for key, part in parts.items()}, n=samples)
-        for chosen in generator.integers(samples, size=(_RESAMPLES, samples))
-    ]
-    tail, columns = (1.0 - _CONFIDENCE) / 2.0, dict[str, Array]()
-    for kind in ("first", "total"):
-        columns[kind] = getattr(indices, f"{kind}_order").reshape(-1, count)
-        resampled = np.reshape([getattr(resample, f"{kind}_order") for resample in again], (_RESAMPLES, -1, count))
-        columns[f"{kind}_low"], columns[f"{kind}_high"] = np.quantile(resampled, (tail, 1.0 - tail), axis=0)
+
+    def indices(chosen: NDArray[np.intp]) -> Array:
+        found = stats.sobol_indices(func={key: part[..., chosen] for key, part in parts.items()}, n=samples)
+        return np.reshape([found.first_order, found.total_order], (2, -1, count))
+
+    # The bootstrap of SciPy's own result has no seed.
+    every = np.arange(samples)
+    ends = stats.bootstrap([every], indices, n_resamples=_RESAMPLES, confidence_level=_CONFIDENCE, vectorized=False,
+                           method="percentile", rng=generator).confidence_interval  # fmt: skip
+    values = {"": indices(every), "_low": ends.low, "_high": ends.high}
+    columns = {f"{kind}{side}": value[k] for side, value in values.items() for k, kind in enumerate(("first", "total"))}
     note = "the properties are correlated: each counts only as far as it is independent of those before it"
     names, note = _names(field), note if field.correlated else ""
     parts_of = ({key: column[k] for key, column in columns.items()} for k in range(len(results)))

@@ -21,6 +21,7 @@ from rich.console import Console
 
 import plough_opt as po
 from plough_opt import plots
+from plough_opt.core.files import shared_legend
 from plough_opt.studies.accuracy import result
 
 WANTED = 1e-6
@@ -90,7 +91,7 @@ def figure_of(found: dict[str, po.AccuracyStudy]) -> Figure:
         axes.set(xlim=(7e-6, 2.0), ylim=(1e-18, 3.0))
     for axes in places[len(found) :]:
         axes.set_axis_off()
-    result.legend(places[-1], places[: len(found)], loc="center")
+    shared_legend(places[-1], places[: len(found)], loc="center", frameon=False)
     figure.suptitle("What accuracy costs: error of mean draft and RMS force against the time of one run", fontsize=14)
     return figure
 

@@ -49,6 +49,8 @@ PICTURE_FORMATS = ("png", "svg", "pdf")
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
 """The colours of Okabe and Ito (2008), which colour-blind readers can distinguish, and a grey."""
 
+_MARKERS: Final = "os^vDPX<>hp*"
+
 
 def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") -> str:
     """Return the content of a text file as it is, with its line ends and its byte order mark.
@@ -371,6 +373,17 @@ def figure_with_panels(count: int, columns: int, size: tuple[float, float]) -> t
     for axes in places[count:]:
         axes.set_visible(False)
     return figure, places[:count]
+
+
+def look(number: int) -> dict[str, Any]:
+    """Return colour and marker of a line among many; the first of seven colours and twelve markers returns after 84."""
+    return {"color": COLOURS[number % len(COLOURS)], "marker": _MARKERS[number % len(_MARKERS)]}
+
+
+def shared_legend(target: Axes | Figure, panels: Sequence[Axes], **where: Any) -> None:
+    """Add one legend for everything that panels show, each label once."""
+    shown = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    target.legend([*shown.values()], [*shown], fontsize="small", **where)
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:

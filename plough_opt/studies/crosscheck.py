@@ -16,7 +16,7 @@ import numpy as np
 from plough_opt.core.checks import array_of, check_domain, check_kind, check_named, check_single
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi
-from plough_opt.core.files import COLOURS, written
+from plough_opt.core.files import look, shared_legend, written
 from plough_opt.core.tables import Grid, data_frame
 from plough_opt.laws import (
     AsabeD497,
@@ -35,7 +35,6 @@ from plough_opt.soil.geometry import Wedge
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -47,10 +46,8 @@ __all__ = [
 KM_PER_H: Final = 3.6
 """Kilometres per hour in a metre per second."""
 
-_MARKERS = "os^vDPX"
 # Ratio of the largest to the smallest draft beyond which the axis is logarithmic, to separate the small ones.
 _LARGEST_LINEAR_RATIO = 8.0
-_REFUSED = ": outside its domain"
 # Characters of a title per inch of the picture's width.
 _CHARACTERS_PER_INCH = 9
 _USUAL_SPEEDS = tuple(speed / KM_PER_H for speed in (3.0, 5.0, 7.0, 9.0))
@@ -394,15 +391,7 @@ def _figure_of(comparison: Comparison) -> Figure:
     else:
         grid[0].set_ylim(bottom=0.0)
     grid[0].set_ylabel("mean draft [kN]")
-    # A model may have values at one depth only; it is marked as refused only if it has none at any depth.
-    shown: dict[str, tuple[Artist, str]] = {}
-    for axes in grid:
-        for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
-            model = name.removesuffix(_REFUSED)
-            if model not in shown or shown[model][1].endswith(_REFUSED):
-                shown[model] = (handle, name)
-    handles, names = zip(*shown.values(), strict=True)
-    figure.legend(handles, names, loc="outside right upper", fontsize="small")
+    shared_legend(figure, grid, loc="outside right upper")
     title = textwrap.fill(comparison.scene, int(_CHARACTERS_PER_INCH * figure.get_figwidth()))
     figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
     return figure
@@ -412,22 +401,16 @@ def _draw(axes: Axes, comparison: Comparison, depth: float | None) -> None:
     """Draw the models at a depth, and those without one."""
     speeds, ours = [KM_PER_H * speed for speed in comparison.speeds], comparison.own
     models = list(dict.fromkeys(row.model for row in comparison.others))
+    # A model may have values at one depth only.
+    drawn = {row.model for row in comparison.others if not all(map(math.isnan, row.drafts))}
     axes.plot(speeds, [draft / 1e3 for draft in ours.drafts], color="black", linewidth=2.2, label=ours.model)
     for row in (row for row in comparison.others if row.depth in (depth, None)):
-        k = models.index(row.model)
-        # Markers shift by one each time the colours repeat.
-        marker = _MARKERS[(k + k // len(COLOURS)) % len(_MARKERS)]
-        colour = COLOURS[k % len(COLOURS)]
-        axes.plot(speeds, [draft / 1e3 for draft in row.drafts], color=colour, marker=marker,
-                  markersize=5, linewidth=1.2, label=_named(row))  # fmt: skip
+        own = look(models.index(row.model))
+        name = row.model if row.model in drawn else f"{row.model}: outside its domain"
+        axes.plot(speeds, [draft / 1e3 for draft in row.drafts], **own, markersize=5, linewidth=1.2, label=name)
         if row.band:
             low, high = ([part * draft / 1e3 for draft in row.drafts] for part in (1.0 - row.band, 1.0 + row.band))
             label = f"band of ±{100.0 * row.band:.0f} %"
-            axes.fill_between(speeds, low, high, color=colour, alpha=0.12, lw=0.0, label=label)
+            axes.fill_between(speeds, low, high, color=own["color"], alpha=0.12, lw=0.0, label=label)
     axes.set(xlabel="speed [km/h]", title="" if depth is None else f"working depth {depth:.3g} m")
     axes.grid(visible=True, alpha=0.3)
-
-
-def _named(row: ModelDraft) -> str:
-    """Return a model's name for the legend, marked if its drafts are NaN at all speeds."""
-    return row.model + (_REFUSED if all(map(math.isnan, row.drafts)) else "")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import COLOURS, figure_with_panels, written
+from plough_opt.core.files import figure_with_panels, look, shared_legend, written
 from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
@@ -465,13 +465,11 @@ def error_text(error: float) -> str:
 
 # --- the picture: a panel for each question, on logarithmic axes ---
 
-# Methods that studies of a motion have, each with the same look in every picture. With seven colours and twelve markers
-# the first to look alike are the 1st and the 85th.
+# Methods that studies of a motion have, each with the same look in every picture.
 _METHODS: Final = (
     AUTO, COMPILED, BARE, "dop853", "erk", "rosenbrock", "cvodes", "collocation", "idas", "rk", "quasi-static",
     "linearised", "harmonic balance", "periodic orbit",
 )  # fmt: skip
-_MARKERS: Final = "*os^vDPX<>hp"
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
 # Ratio of the times at the ends of an axis -> digits to number on an axis that spans less.
 _DIGITS: Final = {6.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 60.0: (1.0, 2.0, 5.0)}
@@ -479,15 +477,13 @@ _DIGITS: Final = {6.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 60.0: (1.0, 2.0, 5.0
 _LEAST: Final = 1e-19
 
 
-def style_of(method: str, number: int) -> dict[str, Any]:
+def look_of(method: str, number: int) -> dict[str, Any]:
     """Return colour and marker of a method; ``number`` tells those apart that no other study has."""
-    k = _METHODS.index(method) if method in _METHODS else len(_METHODS) + number
-    marker = _MARKERS[k % len(_MARKERS)]
-    return {"color": COLOURS[k % len(COLOURS)], "marker": marker, "markersize": 9 if marker == "*" else 5.5}
+    return look(_METHODS.index(method) if method in _METHODS else len(_METHODS) + number)
 
 
 def draw(axes: Axes, study: AccuracyStudy, question: Question) -> None:
-    """Draw error against time of a question's entries, each method with a label for `legend`."""
+    """Draw error against time of a question's entries, each method with a label for a legend."""
     entries, floor = study.of(question), study.floors[question.reference]
 
     def points(chosen: Sequence[MethodResult], least: float = _LEAST) -> tuple[list[float], list[float]]:
@@ -495,7 +491,7 @@ def draw(axes: Axes, study: AccuracyStudy, question: Question) -> None:
 
     for number, method in enumerate(dict.fromkeys(entry.method for entry in entries)):
         chosen = sorted((e for e in entries if e.method == method), key=lambda e: -e.errors[question.error])
-        axes.plot(*points(chosen), linewidth=1.0, zorder=3, label=method, **style_of(method, number))
+        axes.plot(*points(chosen), linewidth=1.0, markersize=5.5, zorder=3, label=method, **look_of(method, number))
     axes.step(*points(study.front(question), max(floor, _LEAST)), where="post", color=_FRONT, linewidth=6.0, alpha=0.75,
               zorder=1, solid_capstyle="round", label="efficient front")  # fmt: skip
     default = [entry for entry in entries if (entry.method, entry.setting) == question.default]
@@ -525,12 +521,6 @@ def _dress(axes: Axes, title: str, errors: Sequence[float], floor: float, wanted
     axes.grid(alpha=0.25)
 
 
-def legend(target: Axes | Figure, panels: Sequence[Axes], **where: Any) -> None:
-    """Add one legend for everything that panels show, each label once."""
-    shown = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    target.legend([*shown.values()], [*shown], fontsize="small", frameon=False, **where)
-
-
 def _figure_of(study: AccuracyStudy) -> Figure:
     """Return a figure with a panel for each question, and a legend: below two panels, or else in its own panel."""
     questions = study.questions
@@ -540,10 +530,10 @@ def _figure_of(study: AccuracyStudy) -> Figure:
     for axes, question in zip(panels, questions, strict=False):
         draw(axes, study, question)
     if below:
-        legend(figure, panels, loc="outside lower center", ncols=4)
+        shared_legend(figure, panels, frameon=False, loc="outside lower center", ncols=4)
     else:
         panels[-1].set_axis_off()
-        legend(panels[-1], panels[:-1], loc="center", ncols=2)
+        shared_legend(panels[-1], panels[:-1], frameon=False, loc="center", ncols=2)
     if study.title:
         figure.suptitle(study.title)
     return figure

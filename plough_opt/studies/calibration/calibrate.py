@@ -70,9 +70,24 @@ class Calibration:
         check_text("title", title)
         if not is_count(starts) or starts > 16:
             raise InputError(f"starts = {shown(starts)} must be a whole number from 1 to 16")
-        self.setup = setup_of(given, data, unknown, loss, errors, duration)
+        measured = (data,) if isinstance(data, Measurements) else tuple(data) if isinstance(data, Sequence) else ()
+        if not measured or not all(isinstance(m, Measurements) for m in measured):
+            raise InputError("the data must be Measurements, one set or several: read a file with po.read_measurements")
+        if twice := [m for k, m in enumerate(measured) if any(m is other for other in measured[:k])]:
+            raise InputError(f"{twice[0].name} is given twice, so its rows would count twice: remove one of the two")
+        if not any(np.any(m.values[m.counted]) for m in measured):
+            raise InputError(f"{measured[0].name}: every measured value is 0, which no soil gives: check the column")
+        check_named("no loss is named {}", loss, LOSSES)
+        check_choice("errors", errors, ERRORS)
+        model = model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
+        _check_names(model, measured)
+        _check_bounds(model, measured)
+        rows = tuple(Rows(m, model) for m in measured)
+        problem = LeastSquares(predictor(rows, model), LOSSES[loss])
+        self.setup = Setup(model, rows, problem, _data(measured, errors))
+        _check_numbers(self.setup)
         self.starts = starts
-        self.title = title or self.setup.model.title
+        self.title = title or model.title
 
     def predict(self, values: Mapping[str, Any]) -> Array:
         """Return the predictions of all rows, SI.
@@ -170,37 +185,6 @@ def calibrate(
     """
     fit = Calibration(given, data, unknown, **options).fit()
     return replace(fit, origin=getattr(given, "origin", fit.origin))
-
-
-def setup_of(
-    given: Described | Scene | SceneOf,
-    data: Measurements | Sequence[Measurements],
-    unknown: Mapping[str, Any] | None,
-    loss: str,
-    errors: str,
-    duration: float | None,
-) -> Setup:
-    """Return a checked calibration; `Calibration` describes the arguments.
-
-    Raises:
-        InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
-    """
-    measured = (data,) if isinstance(data, Measurements) else tuple(data) if isinstance(data, Sequence) else ()
-    if not measured or not all(isinstance(m, Measurements) for m in measured):
-        raise InputError("the data must be Measurements, one set or several: read a file with po.read_measurements")
-    if twice := [m for k, m in enumerate(measured) if any(m is other for other in measured[:k])]:
-        raise InputError(f"{twice[0].name} is given twice, so its rows would count twice: remove one of the two")
-    if not any(np.any(m.values[m.counted]) for m in measured):
-        raise InputError(f"{measured[0].name}: every measured value is 0, which no soil gives: check the column")
-    check_named("no loss is named {}", loss, LOSSES)
-    check_choice("errors", errors, ERRORS)
-    model = model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
-    _check_names(model, measured)
-    _check_bounds(model, measured)
-    rows = tuple(Rows(m, model) for m in measured)
-    setup = Setup(model, rows, LeastSquares(predictor(rows, model), LOSSES[loss]), _data(measured, errors))
-    _check_numbers(setup)
-    return setup
 
 
 def _check_names(model: CalibrationModel, measured: Sequence[Measurements]) -> None:

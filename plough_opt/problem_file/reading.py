@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import ValidationError
 
 from plough_opt.core.checks import check_kind, path_of
-from plough_opt.core.errors import InputError, nearest, short
+from plough_opt.core.errors import DomainError, InputError, nearest, short
+from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
-from plough_opt.core.units import Display, Unit, display_of
+from plough_opt.core.units import Display, Unit, display_of, in_words
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.vocabulary import Measure
@@ -83,7 +84,7 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     names = names_of_shares(source)
     if not names:
         found = read_source(source, Path(path).parent, notes, overrides)
-        return dataclasses.replace(found, notes=(*found.notes, *_soil_notes(found, overrides)))
+        return dataclasses.replace(found, notes=(*found.notes, *_soil_notes(found, path, overrides)))
     parts, own = {}, {}
     for name in names:
         view = copy.copy(source)
@@ -139,13 +140,21 @@ def read_source(source: Source, folder: Path, notes: tuple[str, ...] = (), overr
     return problem
 
 
-def _soil_notes(problem: Problem, overrides: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a note if overrides change a soil that has been measured."""
+def _soil_notes(problem: Problem, path: str | Path, overrides: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a note if overrides change a soil that has been measured, with what they do to the draft."""
     own = [text for text in overrides if text.strip().startswith("soil.")]
     if not own or problem.table.soil.penetrometer is None:
         return ()
-    unused = "" if problem.readings else ", whose readings are not used"
-    return (f"{', '.join(own)} changes a soil that a penetrometer has measured{unused}",)
+    try:
+        before = read_problem(path, [text for text in overrides if text not in own])
+        drafts = [float(as_number(one.scene().steady_resistance)) for one in (before, problem)]
+    except (InputError, DomainError):  # the file holds no soil without the overrides
+        return ()
+    unused = "" if problem.readings else ", and the penetrometer's readings are not used"
+    low, high = (in_words(draft, "N", 4) for draft in drafts)
+    percent = 100.0 * (drafts[1] / drafts[0] - 1.0)
+    changed = f"the steady draft at the guesses changes from {low} to {high} ({percent:+.2g} %)"
+    return (f"{', '.join(own)} changes a soil that a penetrometer has measured: {changed}{unused}",)
 
 
 def check_changed(problem: Problem) -> None:

@@ -233,18 +233,6 @@ def test_optima_known_in_closed_form(variables, objective, required, wanted, lea
         assert 0.0 <= limit.margin * limit.multiplier < 1e-8 * abs(least)
 
 
-@pytest.mark.parametrize("constant", [0.0, 1.0])
-def test_a_constant_objective_leaves_a_feasible_design(constant):
-    d, x = design(x=(0.5, 0.0, 1.0))
-    d.minimise(constant)
-    d.require("least", x, at_least=0.7)
-    d.require("given", 3.0, at_most=4.0)
-    best = d.solve()
-    assert best.objective == constant
-    assert best.variables["x"] > 0.7
-    assert best.margins["given"] == pytest.approx(1.0)
-
-
 def _least_squares(a, b):
     """Return the optimum of 1 + |a x - b|^2 for x between 0 and 1, by a design, and its objective by SciPy."""
     d = po.Design()

@@ -157,6 +157,7 @@ def test_requirements_hold_in_the_whole_box(over):
     d.minimise(2.0 * x + y, over=over)
     d.require("yield", x * y, at_least=3.0)
     best = d.solve()
+    assert best.search.variables == ("x", "y")  # in a product they are searched
     assert best.spread.kept == 1.0
     assert best.margins["yield"] == pytest.approx(0.0, abs=1e-8)
     assert best.active == ("yield",)
@@ -234,13 +235,6 @@ def test_a_bound_on_a_peak_is_solved_for(log, sign):
     assert best.search.values[:, 1] == pytest.approx(sign * best.search.objective, rel=1e-12)
     least = by_hand(np.linspace(0.0, 1.0, 200_001)).min()
     assert least - 1e-4 <= best.objective <= least + 1e-9
-
-
-def test_variables_in_products_are_searched():
-    d, x, y = design(x=(0.5, 0.1, 1.0), y=(0.5, 0.1, 1.0))
-    d.minimise(x + y)
-    d.require("product", x * y, at_least=0.1)
-    assert d.solve().search.variables == ("x", "y")
 
 
 # --- problem files ----------------------------------------------------------------------------------------

@@ -180,16 +180,6 @@ def test_no_design_meets_the_requirements(plane):
     assert caught.value.conflicts == pytest.approx({"far": 1.0}, abs=1e-6)
 
 
-@pytest.mark.slow
-def test_a_region_that_only_the_optimiser_finds(plane):
-    d, x, y = plane
-    d.require("end of a valley", 1.0 + 1e4 * (y - x**3 + x) ** 2 + (x - 0.9) ** 2, at_most=1.0 + 3e-6)
-    front = po.trade_off(d, 1.0 + x**2, 2.0 + x**2, points=5, search=200)
-    # The least x of the region, in which one design is best in both.
-    least = 0.9 - 3e-6**0.5
-    assert front.designs == pytest.approx(np.array([[least, least**3 - least]]), abs=1e-6)
-
-
 def test_no_design_meets_all_digits_of_a_requirement(plane):
     d, x, y = plane
     # To a search this is near enough.
@@ -651,7 +641,7 @@ def shifted():
 def test_fronts_of_several_parameters_share_a_build(monkeypatch):
     built = []
     real = program_module.build_nlp
-    monkeypatch.setattr(program_module, "build_nlp", lambda *a: built.append(1) or real(*a))
+    monkeypatch.setattr(program_module, "build_nlp", lambda *a, **k: built.append(1) or real(*a, **k))
     d, goals = shifted()
     for c in (1.0, 3.0):
         front = po.trade_off(d, *goals, points=9, parameters={"c": c})

@@ -12,7 +12,7 @@ import casadi as ca
 import matplotlib.image
 import numpy as np
 import pytest
-from helpers.problem_files import PROBLEMS, REFERENCE
+from helpers.problem_files import REFERENCE
 from helpers.scenes import scene_of
 from helpers.scripts import imported
 from helpers.small_designs import design, softest
@@ -98,17 +98,6 @@ def test_gradients_of_the_finest_settings_agree_with_the_reference(linear):
     assert max(best.values()) < 3e-5
     assert best["dop853"] < 1e-10
     assert study.floors["gradient"] < 1e-12
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["cotton_subsoiler", "reference", "field", "stick_slip"])
-def test_thin_and_full_studies_and_a_repetition_give_the_same_advice(name):
-    problem = po.read_problem(PROBLEMS / f"{name}.toml")
-    duration = problem.values().get("scene.duration")
-    found = [po.study_accuracy(problem.scene(), duration, thin=thin) for thin in (True, False, False)]
-    for question in found[0].questions:
-        best = [cheapest(study.of(question), question.error, study.wanted) for study in found]
-        assert len({entry.label for entry in best}) == 1, [entry.label for entry in best]
 
 
 @pytest.fixture(scope="module")

@@ -209,12 +209,3 @@ def test_resonance_without_damping_by_the_default(r1_soil, periods):
     assert run.error_estimate <= 1e-8
     # So amplitude and phase are right to 1e-4.
     assert np.max(np.abs(run.mount_force - scene.reaction.static - truth)) < 1e-8 * scene.reaction.static
-
-
-@pytest.mark.slow
-def test_resonance_over_ten_thousand_periods_by_the_default_is_right_or_warned_of(r1_soil):
-    scene, duration = resonance(r1_soil, 1e-4, 10_000)
-    run = po.simulate(scene, duration, outputs=40_000)
-    error = np.max(np.abs(run.mount_force - scene.reaction.static - STIFFNESS * exact(scene, run.time)))
-    assert error < (5.0 * run.error_estimate + 1e-9) * scene.reaction.static
-    assert run.error_estimate <= 1e-8 or any("was not reached" in text for text in run.warnings)

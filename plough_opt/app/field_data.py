@@ -37,8 +37,8 @@ def calibrate(options: argparse.Namespace) -> None:
     check_level(options.level)
     if options.hold_out_by is not None and options.hold_out is None:
         raise InputError("--hold-out-by belongs to --hold-out: add a part of the rows, such as --hold-out 1/3")
-    _check_distinct(options.data)
-    data = [read_measurements(path) for path in options.data]
+    files: dict[Path, Measurements] = {}  # so that a file given twice is the same object, which `run` refuses
+    data = [files.setdefault(Path(path).resolve(), read_measurements(path)) for path in options.data]
     unknown = _unknowns(options.unknown)
     if unknown is None and not problem.variables:
         raise InputError(f'{problem.name}: add a table [variables], or --unknown soil.cohesion="1..80 kPa"')
@@ -71,14 +71,6 @@ def _held_out(fit: Fit, options: argparse.Namespace) -> HeldOut:
     except (ValueError, ZeroDivisionError):
         raise InputError(f"--hold-out {written}: expected a part of the rows, like 1/3, 0.3 or 30 %") from None
     return fit.hold_out(part, by=options.hold_out_by, seed=options.seed, level=options.level)
-
-
-def _check_distinct(paths: Sequence[str]) -> None:
-    """Raise InputError for a file given twice: its rows would count twice and make the intervals too narrow."""
-    places = [Path(path).resolve() for path in paths]
-    for path, place in zip(paths, places, strict=True):
-        if places.count(place) > 1:
-            raise InputError(f"--data {path} is given twice, so its rows would count twice: remove one of the two")
 
 
 def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:

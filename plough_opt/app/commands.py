@@ -20,7 +20,7 @@ from plough_opt.app.main import MODELS, PART, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, console, give, progress, quiet, read, wrote
 from plough_opt.core.compiler import cache_folder
 from plough_opt.core.errors import InputError, NotConverged, printable
-from plough_opt.core.files import check_file, write_new
+from plough_opt.core.files import check_file, drawn, write_new
 from plough_opt.core.plain_data import to_plain
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES
@@ -95,7 +95,7 @@ def check(options: argparse.Namespace) -> None:
     notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem), *problem.reliance)
     plain: dict[str, Any] = {"title": problem.title, "quantities": values, "notes": notes}
     page = tables.check_page(problem)
-    plot: Callable[[], Figure] | None = None if problem.shares else lambda: _share_of(problem)
+    plot: Callable[[], Figure] | None = None if problem.shares else lambda: drawn("plot_share", problem.scene())
     units = [EVERY[key if key in EVERY else key.partition(".")[2]].unit for key in values]
     frame: Callable[[], Any] = partial(
         data_frame, {"quantity": [*values], "value": [*values.values()], "unit": units}, {}
@@ -114,12 +114,6 @@ def check(options: argparse.Namespace) -> None:
         page = dataclasses.replace(page, parts=(*page.parts, *tables.comparison_parts(problem, comparison)))
         plain["comparison"], plot, frame = to_plain(comparison), comparison.plot, comparison.to_dataframe
     give(options, page, lambda: _json(plain), plot, frame)
-
-
-def _share_of(problem: Problem) -> Figure:
-    from plough_opt.app import plots
-
-    return plots.plot_share(problem.scene())
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -448,13 +442,11 @@ def _frame(numbers: Mapping[str, Mapping[str, float]]) -> Any:
 
 def _figure(saved: Mapping[str, Any]) -> Figure:
     """Return the picture of all designs, or of all runs if there are no designs."""
-    from plough_opt.app import plots
-
     designs = {name: design for name, one in saved.items() if (design := _design(one)) is not None}
     if designs:
-        return plots.plot_designs(designs)
+        return drawn("plot_designs", designs)
     runs = {f"{name} {share}".rstrip(): run for name, one in saved.items() for share, run in _runs(one).items()}
-    return plots.plot_forces(runs)
+    return drawn("plot_forces", runs)
 
 
 def _column(path: str, paths: list[str]) -> str:

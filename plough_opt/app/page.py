@@ -206,9 +206,11 @@ def front(report: Report) -> list[dict[str, Any]]:
         return []
     axes = [report.display(goal.name, goal.unit, *found.objectives[:, k]) for k, goal in enumerate(found.goals)]
     columns = [found.objectives[:, k] / axis.factor for k, axis in enumerate(axes)]
-    knee = [] if found.knee is None else [found.points.index(found.knee)]
     x, y = ({"label": called(goal.name), "unit": _unit(axis)} for goal, axis in zip(found.goals, axes, strict=True))
-    groups = _drawn(_group("efficient", _BLUE, 7, *columns), _group("knee", _RED, 12, *(one[knee] for one in columns)))
+    groups = [_group("efficient", _BLUE, 7, *columns)]
+    if found.knee is not None:
+        place = found.points.index(found.knee)
+        groups.append(_group("knee", _RED, 12, *([one[place]] for one in columns)))
     says = f"{y['label']} over {x['label']} of {len(found.points)} efficient designs."
     return [{"id": "front", "title": "Front", "says": says, "x": x, "y": y, "groups": groups}]
 
@@ -341,11 +343,6 @@ def _chart(run: Run, panel: Panel) -> dict[str, Any]:
             for label, value, colour, dash in lines
         ],
     }
-
-
-def _drawn(*groups: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the groups that are not empty, so that the legend names only those."""
-    return [group for group in groups if group["x"]]
 
 
 def _group(label: str, colour: str, size: int, x: Iterable[float], y: Iterable[float]) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.field_data import average_readings, course_of_file, spectrum_of_file
 from plough_opt.problem_file.problem import TRADED, FileVariable, Problem, by_share
 from plough_opt.problem_file.schema import (
+    CONTACTS,
     RANDOM,
     SHARE_TABLES,
     WAVES,
@@ -507,7 +508,7 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
     effects = table.effects
     random = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
     excess = dict(decided)
-    for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
+    for law, (_, key) in CONTACTS.items():
         if effects.contact != law:
             excess[key] = f'belongs to contact = "{law}", which is not set in [effects]'
     if effects.orbit != "transient":

@@ -60,6 +60,9 @@ WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
 CHOICES = ("motion", "inertial_drag", "added_mass", "ambient_pressure", "start", "entry", "formulation")
 """Keys of [effects] with the values of the fields of `Effects` that have their names."""
 
+CONTACTS: Final = {"smooth": (Smooth, "effects.contact_width"), "stick_slip": (StickSlip, "effects.breakaway")}
+"""Word for a law of contact -> its class, and the key of its one number."""
+
 _T = TypeVar("_T", bound="Table")
 _Kind = TypeVar("_Kind")
 _LAW = '"plastic", or { law = "mckyes_ali", depth = "0.35 m" }'
@@ -234,11 +237,10 @@ class EffectsTable(Table):
             if f"{name}.amplitude" in values
         ]
         random: list[Any] = [values.get(f"{RANDOM}.{key}") for key in ("rms", "correlation_length")]
-        contact: Literal["resisting"] | Smooth | StickSlip = "resisting"
-        if self.contact == "smooth":
-            contact = Smooth(values["effects.contact_width"])
-        elif self.contact == "stick_slip":
-            contact = StickSlip(values.get("effects.breakaway", StickSlip.breakaway))
+        contact: Any = self.contact
+        if self.contact in CONTACTS:
+            kind, key = CONTACTS[self.contact]
+            contact = kind(values[key]) if key in values else kind()
         numbers = ("tow_ramp", "damping", "speed_term", "rate_term")
         plain: dict[str, Any] = {name: getattr(self, name) for name in CHOICES}
         return Effects(

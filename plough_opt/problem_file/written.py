@@ -15,11 +15,11 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, holds_casadi
 from plough_opt.core.quantities import EVERY
 from plough_opt.laws import LAWS
-from plough_opt.motion.effects import OWN_EFFECTS, Effects, HarmonicBalance, Smooth, StickSlip
+from plough_opt.motion.effects import OWN_EFFECTS, Effects, HarmonicBalance
 from plough_opt.motion.scene import Scene, quantities_of
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.reading import apply_override, join_dotted_variables, read_source, variable_of
-from plough_opt.problem_file.schema import CHOICES, VariableTable
+from plough_opt.problem_file.schema import CHOICES, CONTACTS, VariableTable
 from plough_opt.problem_file.source import Source
 from plough_opt.problem_file.uncertain import join_dotted
 from plough_opt.soil.geometry import Wedge
@@ -81,8 +81,7 @@ def _choices(scene: Scene) -> Iterator[tuple[str, Any]]:
     for name in CHOICES:
         if getattr(effects, name) != getattr(Effects, name):
             yield name, getattr(effects, name)
-    if isinstance(effects.contact, Smooth | StickSlip):
-        yield "contact", "smooth" if isinstance(effects.contact, Smooth) else "stick_slip"
+    yield from (("contact", word) for word, (kind, _) in CONTACTS.items() if isinstance(effects.contact, kind))
     if isinstance(effects.orbit, HarmonicBalance):
         yield from {"orbit": "harmonic_balance", "harmonics": effects.orbit.harmonics}.items()
     elif effects.orbit != Effects.orbit:

@@ -389,9 +389,7 @@ class Fit(Saveable):
         """
         if candidates is not None:
             return next_measurements(self._source_to("rank other candidates for"), candidates)
-        if not self._ranking and self.source is not None:
-            self._ranking.extend(next_measurements(self.source))
-        return tuple(self._ranking)
+        return self._ranking
 
     @property
     def next_measurement(self) -> NextMeasurement:
@@ -565,9 +563,9 @@ class Fit(Saveable):
         """
         for kind in ("linearised", "profile"):
             self.intervals(0.95, kind)
-        asked = self.intervals(level)
+        self.intervals(level)
         computed = {**self._intervals}
-        computed[level, "profile"] = computed.pop((level, "profile"), asked)
+        computed[level, "profile"] = computed.pop((level, "profile"))
         intervals = tuple(
             KnownInterval(name, level, kind, interval)
             for (level, kind), by_name in computed.items()
@@ -584,9 +582,9 @@ class Fit(Saveable):
         return intervals
 
     @cached_property
-    def _ranking(self) -> list[NextMeasurement]:
-        """The ranking of candidates that was loaded, or computed; empty before."""
-        return list(self.saved_next)
+    def _ranking(self) -> tuple[NextMeasurement, ...]:
+        """The ranking of candidates that was loaded, or is computed now."""
+        return self.saved_next or (() if self.source is None else next_measurements(self.source))
 
     def _source_to(self, verb: str) -> Estimate:
         """Return the estimate behind the fit; raise InputError that says what a loaded fit cannot do."""

@@ -538,7 +538,7 @@ def draw_front(axes: Axes, front: TradeOff) -> None:
         axes.plot(*beaten.T, "x", color=_GREY, markersize=4.5, zorder=2, label="local optima, dominated")
     for number, part in enumerate(front.parts):
         of_part, colour = places[list(part)], COLOURS[number % len(COLOURS)]
-        for corners in [] if flat else _triangles(of_part):
+        for corners in [] if flat else _triangles(front._signs * of_part):
             face = {"color": colour, "alpha": 0.35, "linewidth": 0.3, "edgecolor": colour}
             axes.plot_trisurf(*of_part.T, triangles=corners, **face)  # type: ignore[attr-defined]
         label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"

@@ -25,7 +25,7 @@ from plough_opt.core.checks import (
     plain_number,
     shown,
 )
-from plough_opt.core.errors import DomainError, InputError, nearest
+from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import ByValue, Column, Expression, as_number, exp, is_symbolic, stacked
 from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.quantities import every_quantity, quantities
@@ -474,8 +474,7 @@ def model_of(
 def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
     """Return a problem's scene with values changed by keys of files, which divide the mass into frame and steel."""
     for name in values:
-        if name not in quantities():
-            raise InputError(f"a problem file has no '{name}': {nearest(name, quantities())}")
+        check_named("a problem file has no {}", name, quantities())
     return problem.scene(values)
 
 

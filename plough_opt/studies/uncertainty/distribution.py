@@ -27,7 +27,7 @@ from plough_opt.core.checks import (
     shown,
     whole_number,
 )
-from plough_opt.core.errors import DomainError, InputError, nearest
+from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi, is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import QUANTITIES
@@ -179,11 +179,10 @@ def _number(at: Optimum | Mapping[str, float], symbol: ca.MX) -> float:
     """
     check_kind("the design", at, Optimum | Mapping, "an Optimum, or its values by name")
     values = at.variables if isinstance(at, Optimum) else at
-    if symbol.name() in values:
-        return plain_number(f"'{symbol.name()}'", values[symbol.name()])
-    if isinstance(at, Optimum):
+    if isinstance(at, Optimum) and symbol.name() not in values:
         return float(at(symbol))
-    raise InputError(f"the design has no value for '{symbol.name()}': {nearest(symbol.name(), values)}")
+    check_named("the design has no value for {}", symbol.name(), values)
+    return plain_number(f"'{symbol.name()}'", values[symbol.name()])
 
 
 def _column(name: str, values: list[Column]) -> Column:
@@ -373,8 +372,7 @@ class SoilDistribution:
         **properties: Any,
     ) -> None:
         for name in properties:
-            if name not in PROPERTIES:
-                raise InputError(f"'{name}' is not a property of a soil: {nearest(name, PROPERTIES)}")
+            check_named("{} is not a property of a soil", name, PROPERTIES)
         if not properties:
             raise InputError("nothing is uncertain: give a property a distribution, such as cohesion=stats.norm(...)")
         check_kind("the soil", soil, Soil, "a soil, which po.named_soil(...) or po.Soil(...) makes")
@@ -382,8 +380,7 @@ class SoilDistribution:
             check_kind(what, given, Mapping | None, "a dictionary with properties as keys")
         bounds = {name: _pair_of(name, ends) for name, ends in (within or {}).items()}
         for name in bounds:
-            if name not in properties:
-                raise InputError(f"within names '{name}', which has no distribution: {nearest(name, properties)}")
+            check_named("within names {}, which has no distribution", name, properties)
         ends = {name: bounds.get(name, (-math.inf, math.inf)) for name in properties}
         marginals = {name: Marginal(given, *ends[name], name) for name, given in properties.items()}
         vars(self).update(soil=soil, marginals=marginals, correlation=dict(correlation or {}))
@@ -408,9 +405,7 @@ class SoilDistribution:
             if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
                 raise InputError(f"a correlation needs a pair of properties, not {shown(pair)}")
             for name in pair:
-                if name not in self.names:
-                    hint = nearest(str(name), self.names)
-                    raise InputError(f"the correlation names '{name}', which has no distribution: {hint}")
+                check_named("the correlation names {}, which has no distribution", name, self.names)
             a, b = map(self.names.index, pair)
             if not isinstance(value, int | float | np.number) or not -1.0 < value < 1.0:
                 raise InputError(

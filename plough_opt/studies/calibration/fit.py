@@ -17,7 +17,7 @@ from scipy import stats
 from plough_opt.core.checks import check_choice
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import ByValue
-from plough_opt.core.files import COLOURS, written
+from plough_opt.core.files import COLOURS, figure_with_panels, written
 from plough_opt.core.plain_data import Array, MaybeInfinite, Unsaved
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.saving import Origin, Saveable, versions
@@ -168,13 +168,11 @@ class HeldOut(ByValue):
         Raises:
             InputError: the fitted rows determine no prediction, or the file cannot be written.
         """
-        from matplotlib.figure import Figure
-
         rows = [row for row in self.rows if math.isfinite(row.standard_error)]
         if not rows:
             raise InputError("the fitted rows determine none of the rows held out: hold out a smaller part")
-        figure = Figure(figsize=(7.2, 5.8), layout="constrained")
-        _draw_fit(figure.subplots(), rows, {row.result: _display(row, rows, self.origin) for row in rows})
+        figure, (axes,) = figure_with_panels(1, 1, (7.2, 5.8))
+        _draw_fit(axes, rows, {row.result: _display(row, rows, self.origin) for row in rows})
         figure.suptitle(f"{self.title}\nrows held out of the fit", fontsize="medium")
         return written(figure, target)
 
@@ -629,18 +627,15 @@ def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
         rows: the measured rows with their predictions.
         origin: origin of the fit, which gives the units of the file.
     """
-    from matplotlib.figure import Figure
-
     counted = [row for row in rows if math.isfinite(row.sigma) and row.sigma > 0.0]
     kinds = {row.result: _display(row, counted, origin) for row in counted}
-    figure = Figure(figsize=(11, 8.4), layout="constrained")
-    axes = figure.subplots(2, 2)
-    _draw_fit(axes[0, 0], counted, kinds)
-    _draw_residuals(axes[0, 1], counted, kinds, [row.predicted / kinds[row.result].factor for row in counted],
-                    _predicted_label(kinds))  # fmt: skip
+    figure, (fit, over_predicted, over_varied, quantiles) = figure_with_panels(4, 2, (5.5, 4.2))
+    _draw_fit(fit, counted, kinds)
+    predicted = [row.predicted / kinds[row.result].factor for row in counted]
+    _draw_residuals(over_predicted, counted, kinds, predicted, _predicted_label(kinds))
     shown, values, label = _varied(counted, origin)
-    _draw_residuals(axes[1, 0], shown, kinds, values, label)
-    _draw_quantiles(axes[1, 1], counted)
+    _draw_residuals(over_varied, shown, kinds, values, label)
+    _draw_quantiles(quantiles, counted)
     figure.suptitle(title)
     return figure
 

@@ -243,7 +243,7 @@ REFUSED = [
     (dict.fromkeys("abcd", po.Range(0.0, 1.0, 10**5)), {}, r"the grid has 1e\+20 points"),
     ({"a": po.Range(0.0, 1.0, 3)}, {"samples": 8}, "a sample fills the range"),
     ({"a": (0.0, 1.0)}, {"samples": 8}, "a range with two ends"),
-    ({"a": po.Range(0.0, 1.0)}, {"samples": 1}, "1 samples: give a whole number from 2"),
+    ({"a": po.Range(0.0, 1.0)}, {"samples": 1}, "samples = 1 must be a whole number from 2"),
     ({"a": po.Range(0.0, 1.0)}, {"samples": 8, "seed": -1}, "seed = -1"),
     ({"a": [1.0]}, {}, "two values or more"),
     ({"a": [1.0, 2.0, 1.0]}, {}, "same value twice"),

@@ -31,6 +31,7 @@ from plough_opt.core.checks import (
     check_text,
     plain_number,
     shown,
+    whole_number,
 )
 from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, PloughError
@@ -366,8 +367,7 @@ def study_accuracy(
     if holds_casadi(scene):
         scene = map_expressions(scene, lambda value: float(as_number(value)))
     check_domain("time allowed to a method", plain_number("allowance", allowance), "s", above=0.0)
-    if not is_count(outputs) or outputs > MOST_OUTPUTS:
-        raise InputError(f"outputs = {shown(outputs)} must be a whole number from 1 to {MOST_OUTPUTS}")
+    whole_number("outputs", outputs, 1, MOST_OUTPUTS)
     duration = plain_number("duration", duration_of(scene, duration))
     if scene.effects.orbit != "transient":
         scene = replace(scene, effects=replace(scene.effects, orbit="periodic"))

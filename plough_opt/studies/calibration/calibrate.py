@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from plough_opt.core.checks import array_of, check_choice, check_named, check_text, mapping_of, shown
+from plough_opt.core.checks import array_of, check_choice, check_named, check_text, mapping_of, whole_number
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.calibration.estimate import ERRORS, INSIDE, LOSSES, NOMINAL, Data, LeastSquares, Setup, estimate
@@ -68,8 +67,7 @@ class Calibration:
         title: str = "",
     ) -> None:
         check_text("title", title)
-        if not is_count(starts) or starts > 16:
-            raise InputError(f"starts = {shown(starts)} must be a whole number from 1 to 16")
+        self.starts = whole_number("starts", starts, 1, 16)
         measured = (data,) if isinstance(data, Measurements) else tuple(data) if isinstance(data, Sequence) else ()
         if not measured or not all(isinstance(m, Measurements) for m in measured):
             raise InputError("the data must be Measurements, one set or several: read a file with po.read_measurements")
@@ -86,7 +84,6 @@ class Calibration:
         problem = LeastSquares(predictor(rows, model), LOSSES[loss])
         self.setup = Setup(model, rows, problem, _data(measured, errors))
         _check_numbers(self.setup)
-        self.starts = starts
         self.title = title or model.title
 
     def predict(self, values: Mapping[str, Any]) -> Array:

@@ -24,6 +24,7 @@ from plough_opt.core.checks import (
     path_of,
     plain_number,
     shown,
+    whole_number,
 )
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import ByValue, Column, Expression, as_number, exp, is_symbolic, stacked
@@ -168,8 +169,7 @@ class Measurements(ByValue):
         return f"{self.name}, line {self.lines[number]}" if self.lines else f"{self.name}, row {number + 1}"
 
     def _check_row(self, number: int) -> None:
-        if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < self.rows:
-            raise InputError(f"{self.name}: row {shown(number)} must be a whole number from 0 to {self.rows - 1}")
+        whole_number(f"{self.name}: row", number, 0, self.rows - 1)
 
     def _column(self, key: str, given: Any, rows: int | None = None) -> Array:
         """Return a column of finite numbers; a single number stands for all rows, if their number is known."""

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 
-from plough_opt.core.checks import check_kind, check_named, plain_number, shown
+from plough_opt.core.checks import check_kind, check_named, plain_number, shown, whole_number
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, NotConverged
-from plough_opt.core.expressions import ByValue, as_number, is_count
+from plough_opt.core.expressions import ByValue, as_number
 from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite
 from plough_opt.core.units import in_words
 from plough_opt.motion.scene import Scene
@@ -523,8 +523,7 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
         raise InputError("cross-validation needs two rows or more that are not left out by a weight of 0")
     if folds is None:
         folds = (count if count <= _MOST_LEFT_OUT else 20) if setup.problem.closed else min(5, count)
-    if not is_count(folds) or not 2 <= folds <= count:
-        raise InputError(f"folds = {shown(folds)} must be a whole number from 2 to {count}, the rows that count")
+    folds = whole_number("folds", folds, 2, count)
     rows, names = order.copy(), dict.fromkeys(results[order])
     if RECORD not in results and folds < count:
         np.random.default_rng(seed).shuffle(order)

@@ -15,9 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_kind, check_switch, path_of, plain_number, shown
+from plough_opt.core.checks import check_kind, check_switch, path_of, plain_number, shown, whole_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import available
 from plough_opt.core.saving import versions
@@ -340,8 +339,8 @@ def _check_arguments(evaluation: object, over: object, executor: object, workers
     if executor is not None and not callable(getattr(executor, "submit", None)):
         what = "an executor of concurrent.futures, or have a method submit"
         raise InputError(f"executor = {shown(executor)} must be {what}")
-    if workers is not None and not is_count(workers):
-        raise InputError(f"workers = {shown(workers)} must be 1 or more")
+    if workers is not None:
+        whole_number("workers", workers, 1)
     try:
         if executor is None:
             packed(evaluation)

@@ -43,7 +43,7 @@ import numpy as np
 
 from plough_opt.core.checks import check_switch, plain_number, shown, whole_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import is_casadi, is_count
+from plough_opt.core.expressions import is_casadi
 from plough_opt.core.plain_data import Array
 
 MOST_VALUES: Final = 1_000_000
@@ -87,12 +87,9 @@ class Range:
         check_switch("log", self.log)
         if self.log and not self.lower > 0.0:
             raise InputError(f"a logarithmic range must begin above 0, not at {self.lower:g}")
-        if self.count is not None:
-            given = f"the number of values is {shown(self.count)}"
-            if not is_count(self.count) or self.count < 2:
-                raise InputError(f"{given}: it must be a whole number, at least 2")
-            if self.count > MOST_VALUES:
-                raise InputError(f"{given}: it can be at most {MOST_VALUES}; use a sample instead")
+        if self.count is not None and whole_number("the number of values", self.count, 2) > MOST_VALUES:
+            given = f"the number of values is {self.count}"
+            raise InputError(f"{given}: it can be at most {MOST_VALUES}; use a sample instead")
 
     def values(self) -> tuple[float, ...]:
         """Return the values for a grid, with both ends exact.
@@ -193,10 +190,8 @@ class PointSample:
             InputError: values are given instead of a range, a range has a number of values, or the number of samples or
                 the seed is invalid.
         """
-        if not is_count(count) or not 2 <= count <= MOST_SAMPLES:
-            raise InputError(f"{count!r} samples: give a whole number from 2 to {MOST_SAMPLES}, best a power of two")
         self.names = tuple(axes)
-        self.count = count
+        self.count = whole_number("the number of samples", count, 2, MOST_SAMPLES)
         self._seed = whole_number("the seed", seed)
         self._ranges: list[Range] = []
         for name, axis in axes.items():

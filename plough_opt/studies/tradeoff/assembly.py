@@ -9,9 +9,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, shown, whole_number
+from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, whole_number
 from plough_opt.core.errors import Counted, InputError, NotConverged, count, counted, listed
-from plough_opt.core.expressions import Expression, is_count
+from plough_opt.core.expressions import Expression
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress
@@ -347,8 +347,7 @@ def trade_off(
         True
     """
     started = time.perf_counter()
-    if not is_count(points) or not _FEWEST_POINTS <= points <= _MOST_POINTS:
-        raise InputError(f"points = {shown(points)} must be a whole number from {_FEWEST_POINTS} to {_MOST_POINTS}")
+    positions = whole_number("points", points, _FEWEST_POINTS, _MOST_POINTS)
     check_kind("the design", design, Design, "a Design")
     check_switch("compiled", compiled)
     check_text("title", title)
@@ -362,7 +361,7 @@ def trade_off(
     front.prepare(front.declared.parameter_values(parameters))
     building = time.perf_counter() - started
     kind = CurveTracer if len(goals) == 2 else SurfaceTracer
-    tracer = kind(Archive(front, search, notify, whole_number("seed", seed)), int(points), notify)
+    tracer = kind(Archive(front, search, notify, whole_number("seed", seed)), positions, notify)
     anchors = _anchors(front, tracer)
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:

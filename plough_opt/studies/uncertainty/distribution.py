@@ -28,7 +28,7 @@ from plough_opt.core.checks import (
     whole_number,
 )
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi, is_count
+from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.design import Optimum
@@ -569,6 +569,5 @@ def _numbers(what: str, values: ArrayLike) -> Array:
 
 def _check_draw(count: int, seed: int) -> None:
     """Raise InputError for an invalid number of samples or an invalid seed."""
-    if not is_count(count) or count > _MOST_SAMPLES:
-        raise InputError(f"the number of samples {shown(count)} must be a whole number from 1 to {_MOST_SAMPLES}")
+    whole_number("the number of samples", count, 1, _MOST_SAMPLES)
     whole_number("the seed", seed)

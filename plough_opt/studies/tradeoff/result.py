@@ -432,31 +432,28 @@ def _table(front: TradeOff, everywhere: Sequence[str]) -> Grid:
     limits = list(dict.fromkeys(name for point in front.points for name in point.active if name not in everywhere))
     if limits:
         lines.append("limits: " + ", ".join(f"{k} {called(name)}" for k, name in enumerate(limits, start=1)))
-    axes = (*front.goals, *front.variables)
-    displays = [front.display(axis) for axis in axes]
-    headings = [display.heading(called(axis.name)) for axis, display in zip(axes, displays, strict=True)]
     # The table of a surface fits into 120 characters if each word of a heading has a line.
     between = " " if len(pairs) == 1 else "\n"
-    columns = [
-        Column(text.replace(" ", between), fold=True) for text in (*headings, *(f"{head} [%]" for head in heads))
-    ]
-    branches = any(point.branch for point in front.points)
-    unconfirmed = not all(point.confirmed for point in front.points)
-    columns += [Column("branch", left=True, fold=True)] if branches else []
-    columns += [Column("status", left=True, fold=True)] if unconfirmed else []
-    columns += [Column("limits", left=True)] if limits else []
-    table = Grid(tuple(columns), caption="\n".join(lines))
+    columns: list[tuple[Column, list[str]]] = []
+    for axis, values in front.columns:
+        display = front.display(axis)
+        heading = display.heading(called(axis.name)).replace(" ", between)
+        columns.append((Column(heading, fold=True), [display.number(x) for x in values.tolist()]))
+    for head, pair in zip(heads, pairs, strict=True):
+        costs = (front.cost(k, *pair) for k in range(len(front.points)))
+        texts = ["" if cost is None else f"{cost:.3g}" for cost in costs]
+        columns.append((Column(f"{head} [%]".replace(" ", between), fold=True), texts))
+    numbers = [[str(k) for k, name in enumerate(limits, start=1) if name in point.active] for point in front.points]
+    optional = (
+        (Column("branch", left=True, fold=True), [point.branch for point in front.points]),
+        (Column("status", left=True, fold=True), ["" if p.confirmed else "unconfirmed" for p in front.points]),
+        (Column("limits", left=True), [*map(" ".join, numbers)]),
+    )
+    headings, cells = zip(*columns, *(column for column in optional if any(column[1])), strict=True)
+    table, rows = Grid(headings, caption="\n".join(lines)), [*zip(*cells, strict=True)]
     for part in front.parts:
         for k in part:
-            point = front.points[k]
-            values = [*point.objectives, *(point.variables[v.name] for v in front.variables)]
-            cells = [display.number(float(value)) for value, display in zip(values, displays, strict=True)]
-            cells += ["" if (cost := front.cost(k, *pair)) is None else f"{cost:.3g}" for pair in pairs]
-            cells += [point.branch] if branches else []
-            cells += ["" if point.confirmed else "unconfirmed"] if unconfirmed else []
-            decided = " ".join(str(number) for number, name in enumerate(limits, start=1) if name in point.active)
-            cells += [decided] if limits else []
-            table.row(*cells, bold=point is knee, end=k == part[-1])
+            table.row(*rows[k], bold=front.points[k] is knee, end=k == part[-1])
     return table
 
 

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -88,6 +88,12 @@ Use = Callable[[], object]
 Errors = Callable[[Any], Mapping[str, float]]
 """Function that returns the relative errors of a result by name."""
 
+Prepare: TypeAlias = Callable[[Any], Use | tuple[Use, Callable[[], Any]]]
+"""Function of a setting that returns a use that gives the result, or a use to time and a function for the result."""
+
+Check: TypeAlias = Callable[[Any], Use] | None
+"""Function of a setting that returns the use of `simulate` with it; None if the method has no check."""
+
 _Number = TypeVar("_Number", int, float)
 
 
@@ -110,14 +116,14 @@ class Contestant:
 
     family: str
     method: str
-    prepare: Callable[[Any], Use | tuple[Use, Callable[[], Any]]]
+    prepare: Prepare
     errors: Errors
     settings: Sequence[Any] = ("",)
     always: Sequence[int] | None = None
     label: Callable[[Any], str] = str
     least_time: Callable[[Any], float] = lambda _: 0.0
     patient: Any = None
-    check: Callable[[Any], Use] | None = None
+    check: Check = None
 
 
 def step_counts(usual: float, factors: Sequence[float], unit: int = 1) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -163,10 +169,9 @@ def measured(
             trial.narrow()
     _time_again(trials, allowance)
     entries = [entry for trial in trials for entry in trial.entries.values()]
-    for family in dict.fromkeys(contestant.family for contestant in contestants):
-        front = efficient([entry for entry in entries if entry.family == family], key, floor)
-        for trial in trials:
-            trial.check(front)
+    front = efficient(entries, key, floor)
+    for trial in trials:
+        trial.check(front)
     return [trial.entries[place] for trial in trials for place in sorted(trial.entries)]
 
 
@@ -450,14 +455,7 @@ def gradients(task: Task, reference: ReferenceGradient) -> list[MethodResult]:
 
 
 def _contestant(
-    task: Task,
-    family: str,
-    method: str,
-    prepare: Callable[[Accuracy], Any],
-    errors: Errors,
-    *,
-    name: str = "",
-    check: Callable[[Any], Use] | None = None,
+    task: Task, family: str, method: str, prepare: Prepare, errors: Errors, *, name: str = "", check: Check = None
 ) -> Contestant:
     """Return a named method with its settings.
 

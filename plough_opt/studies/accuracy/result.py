@@ -240,15 +240,13 @@ class AccuracyStudy(Saveable):
             if best.checked is not None:
                 clauses.append(f"{duration_text(best.checked)} with the check of simulate")
         by_setting = {(entry.method, entry.setting): entry for entry in entries}
-        default = by_setting.get(question.default)
-        for method, compiled in ((AUTO, ""), (COMPILED, ", compiled=True")):
-            aimed, name = by_setting.get((method, f"error {wanted}")), f"Accuracy(error={wanted}){compiled}"
-            if aimed is not None and aimed is not default:
-                takes = f"{name} takes {_compared(aimed, best, question)}"
-                clauses.append(f"that is {name}" if aimed is best else takes)
-        if default is not None:
-            takes = f"the default, {default.label}, takes {_compared(default, best, question)}"
-            clauses.append("that is the default" if default is best else takes)
+        aim = f"error {wanted}"
+        names = {(AUTO, aim): f"Accuracy(error={wanted})", (COMPILED, aim): f"Accuracy(error={wanted}), compiled=True"}
+        for setting, name in (names | {question.default: "the default"}).items():
+            if (entry := by_setting.get(setting)) is not None:
+                which = f"the default, {entry.label}," if setting == question.default else name
+                takes = f"{which} takes {_compared(entry, best, question)}"
+                clauses.append(f"that is {name}" if entry is best else takes)
         return f"{question.title}: {'; '.join(clauses)}."
 
     @property

@@ -176,7 +176,9 @@ def reference_run(scene: Scene, duration: float | None = None, *, outputs: int =
 def _integrator(scene: Scene, duration: float | None) -> Callable[[Scene, int, int], IntegratedMotion]:
     """Return (scene like this one, outputs, degree) -> its motion or, if the scene asks for it, its periodic orbit."""
     if scene.effects.motion and scene.effects.orbit == "periodic":
-        guess = state_near_orbit(scene)
+        # A simulation decides which orbit is found, not its digits.
+        run, first = simulate(scene, outputs=1), Structure.of(scene).start_deflection(parameters(scene))
+        guess = np.array([run.deflection[0] - first, float(scene.tow_speed) - run.speed[0]], LONGDOUBLE)
         return lambda like, outputs, degree: periodic_orbit(Motion(like), guess, outputs, degree)
     if scene.effects.orbit == "transient" and duration is None:
         raise InputError("the duration is missing: give the simulated time of the reference in seconds")
@@ -481,13 +483,6 @@ def periodic_orbit(motion: Motion, guess: LongDouble, outputs: int, degree: int)
         # The guess and a step have the digits of a double: each step adds as many again.
         state = state - np.linalg.solve(slope, miss.astype(float))
     raise IntegrationError("no periodic orbit was found near that of the simulation")
-
-
-def state_near_orbit(scene: Scene) -> LongDouble:
-    """Return a state near the periodic orbit by simulation; it decides which orbit is found, not its digits."""
-    run = simulate(scene, outputs=1)
-    first = Structure.of(scene).start_deflection(parameters(scene))
-    return np.array([run.deflection[0] - first, float(scene.tow_speed) - run.speed[0]], LONGDOUBLE)
 
 
 # --- CasADi graphs, steps and events in the widest floats ---

@@ -31,9 +31,9 @@ from plough_opt.core import quantities, saving, tables, units
 from plough_opt.design.search import effort
 from plough_opt.exchange.export.formats import FORMATS
 from plough_opt.laws import LAWS
-from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS, OWN_EFFECTS
 from plough_opt.motion.methods import METHODS
+from plough_opt.motion.solvers import plan
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import reading, schema, source, uncertain
 from plough_opt.soil.elastic import medium

@@ -26,12 +26,12 @@ from plough_opt.motion.effects import Own
 from plough_opt.motion.effects.own import slopes
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.orbit import near_orbit
-from plough_opt.motion.plan import forced_rate, rates
 from plough_opt.motion.run import WITHOUT_RANDOM, Averages, Machine, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
-from plough_opt.motion.steps import Timeline, step
+from plough_opt.motion.solvers.orbit import near_orbit
+from plough_opt.motion.solvers.plan import forced_rate, rates
+from plough_opt.motion.solvers.steps import Timeline, step
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.problem import FileVariable

@@ -54,16 +54,16 @@ from plough_opt.exchange.component import (
 )
 from plough_opt.laws.law import too_blunt
 from plough_opt.motion import OUTPUTS, Run
-from plough_opt.motion.checks import refuse_runaway
-from plough_opt.motion.derivatives import derivative_error
 from plough_opt.motion.equation import Structure, parameters
-from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.plan import fewest_steps, forced_rate, numbers_of, phase, steps_for, timeline_of
 from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene, duration_of, quantities_of, with_quantities
 from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
-from plough_opt.motion.steps import Timeline
+from plough_opt.motion.solvers.checks import refuse_runaway
+from plough_opt.motion.solvers.derivatives import derivative_error
+from plough_opt.motion.solvers.integrators import Integration, integration
+from plough_opt.motion.solvers.plan import fewest_steps, forced_rate, numbers_of, phase, steps_for, timeline_of
+from plough_opt.motion.solvers.steps import Timeline
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 
 DURATION, FRAME, STEEL = BESIDE

@@ -12,14 +12,15 @@ import casadi as ca
 
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, as_number
-from plough_opt.motion import plan, simulate
+from plough_opt.motion import simulate
 from plough_opt.motion.effects import TERMS, Effects, Entry
 from plough_opt.motion.equation import Structure, equation_of
-from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS
-from plough_opt.motion.steps import step
+from plough_opt.motion.solvers import plan
+from plough_opt.motion.solvers.integrators import integration
+from plough_opt.motion.solvers.steps import step
 
 
 @dataclass(frozen=True)

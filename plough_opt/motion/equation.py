@@ -70,7 +70,7 @@ class Structure:
         carries: whether events change the mass of soil that moves with the share.
         orbit: see `Effects`.
         harmonics: number of harmonics of a harmonic balance; otherwise 0.
-        ramp_by_step: whether each step states if the ramp is over: see `plough_opt.motion.steps.OneStep`.
+        ramp_by_step: whether each step states if the ramp is over: see `plough_opt.motion.solvers.steps.OneStep`.
         locates_ramp: whether an integrator locates the end of the ramp even if the scene has no other events.
     """
 

@@ -26,13 +26,16 @@ from plough_opt.core.expressions import (
     map_expressions,
     rms,
 )
-from plough_opt.motion import checks, plan
-from plough_opt.motion.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
-from plough_opt.motion.compiled_steps import source_of
 from plough_opt.motion.effects import Smooth, profile_of, ramp_time
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, parameters
-from plough_opt.motion.integrators import (
+from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
+from plough_opt.motion.run import Averages, Checks, Run, assemble
+from plough_opt.motion.scene import Scene, duration_of
+from plough_opt.motion.solvers import checks, plan
+from plough_opt.motion.solvers.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
+from plough_opt.motion.solvers.compiled_steps import source_of
+from plough_opt.motion.solvers.integrators import (
     Array,
     Case,
     Integrated,
@@ -43,11 +46,8 @@ from plough_opt.motion.integrators import (
     labelled,
     thinned,
 )
-from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
-from plough_opt.motion.orbit import which_motion
-from plough_opt.motion.run import Averages, Checks, Run, assemble
-from plough_opt.motion.scene import Scene, duration_of
-from plough_opt.motion.steps import Timeline, ends
+from plough_opt.motion.solvers.orbit import which_motion
+from plough_opt.motion.solvers.steps import Timeline, ends
 from plough_opt.soil.strength import check_strength
 
 _LOG = logging.getLogger(__name__)

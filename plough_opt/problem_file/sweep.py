@@ -25,11 +25,11 @@ from plough_opt.laws import LAWS
 from plough_opt.motion import Run
 from plough_opt.motion.batch import UNSTABLE, Batch
 from plough_opt.motion.batch.advance import RESULTS
-from plough_opt.motion.checks import BROKEN_WAVE, broken_wave_in_words
 from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS
 from plough_opt.motion.run import Averages
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.solvers.checks import BROKEN_WAVE, broken_wave_in_words
 from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.problem import Problem, longest_period, whole_waves
 from plough_opt.problem_file.reading import check_changed

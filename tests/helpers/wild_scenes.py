@@ -6,7 +6,7 @@ import numpy as np
 
 import plough_opt as po
 from helpers.scenes import Shank
-from plough_opt.motion.plan import numbers_of, phase
+from plough_opt.motion.solvers.plan import numbers_of, phase
 
 # Largest phase [rad] of the fastest oscillation; the reference, in Python and the widest floats, then takes seconds.
 MOST_PHASE = 1500.0

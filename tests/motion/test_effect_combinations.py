@@ -16,7 +16,7 @@ from plough_opt.app.main import main
 from plough_opt.motion import effect_costs
 from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.scene import quantities_of, with_quantities
-from plough_opt.motion.steps import step
+from plough_opt.motion.solvers.steps import step
 
 SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
 FACTORS = {

@@ -12,8 +12,8 @@ from helpers.orbit_oracle import follow, monodromy, orbit, period
 from helpers.scenes import R1_SOIL, SHARP, Shank, Waves, scene_of
 
 import plough_opt as po
-from plough_opt.motion.checks import difference
-from plough_opt.motion.orbit import MOST_STEPS
+from plough_opt.motion.solvers.checks import difference
+from plough_opt.motion.solvers.orbit import MOST_STEPS
 
 # --- the periodic orbit under a strength wave against SciPy's integration, and its approximations against formulas ---
 

@@ -14,8 +14,8 @@ from helpers.scenes import BLUNT, R1_SOIL, SHARP, Shank, scene_of
 from scipy.integrate import quad
 
 import plough_opt as po
-from plough_opt.motion import checks
-from plough_opt.motion.checks import refuse_missed_event
+from plough_opt.motion.solvers import checks
+from plough_opt.motion.solvers.checks import refuse_missed_event
 
 # --- the smooth one-sided contact: its limit of zero width, an independent solver, and its warnings ---
 

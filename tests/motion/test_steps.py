@@ -17,12 +17,12 @@ from scipy.integrate import DOP853 as SCIPYS
 import plough_opt as po
 from plough_opt.design.model.program import error_of_derivatives
 from plough_opt.motion import simulation
-from plough_opt.motion.checks import difference
-from plough_opt.motion.compiled_steps import compiled_steps
-from plough_opt.motion.derivatives import jets
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DOP853, METHODS, Tableau
-from plough_opt.motion.steps import Timeline
+from plough_opt.motion.solvers.checks import difference
+from plough_opt.motion.solvers.compiled_steps import compiled_steps
+from plough_opt.motion.solvers.derivatives import jets
+from plough_opt.motion.solvers.steps import Timeline
 from plough_opt.studies.accuracy.reference import reference_run
 
 # --- derivatives through events and ramps: their forms, the methods that find a ramp's end, and ramps of no time ---

@@ -8,7 +8,7 @@ Notation of the formulas and the code; what follows an underscore is differentia
 
 J and g are algebra over y and o, a small graph that automatic differentiation handles well. The runs o(theta) are
 differentiated apart from it: their integration carries Taylor coefficients along, called jets
-(`plough_opt.motion.derivatives`). The chain rule joins the two::
+(`plough_opt.motion.solvers.derivatives`). The chain rule joins the two::
 
     o_y    = o_theta theta_y
     grad f = J_y + J_o o_y
@@ -34,11 +34,11 @@ from plough_opt.core.compiler import Variant, library
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
 from plough_opt.motion.batch.batch import DomainCheck
-from plough_opt.motion.derivatives import jets_of, weighted_curvature
 from plough_opt.motion.equation import equation_of
-from plough_opt.motion.integrators import Embedding, Integration, embedding_of, integration
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.steps import pairs
+from plough_opt.motion.solvers.derivatives import jets_of, weighted_curvature
+from plough_opt.motion.solvers.integrators import Embedding, Integration, embedding_of, integration
+from plough_opt.motion.solvers.steps import pairs
 
 _GIVEN_RESULTS = "a run in a design cannot depend on the results of another run: give both the same variables instead"
 

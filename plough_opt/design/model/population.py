@@ -22,8 +22,8 @@ from plough_opt.design.model.nlp import (
     holds_maps,
     split,
 )
-from plough_opt.motion.compiled_steps import ManyRuns
-from plough_opt.motion.integrators import Integration, integration
+from plough_opt.motion.solvers.compiled_steps import ManyRuns
+from plough_opt.motion.solvers.integrators import Integration, integration
 
 # Slopes smaller than this count as 0, so that a division by them cannot overflow.
 _NO_SLOPE = 1e-300

@@ -27,8 +27,8 @@ from plough_opt.design.model.tight_integration import (
     steps_at,
     values_at_guess,
 )
-from plough_opt.motion.derivatives import derivative_error
 from plough_opt.motion.methods import DEFAULT_ERROR
+from plough_opt.motion.solvers.derivatives import derivative_error
 
 
 @dataclass(frozen=True, eq=False)

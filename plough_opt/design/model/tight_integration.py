@@ -17,16 +17,16 @@ from plough_opt.core.errors import DomainError, InputError, IntegrationError, Pl
 from plough_opt.core.expressions import is_quantity, map_expressions, with_numbers
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.nlp import Vector, has_own_law, is_own, split
-from plough_opt.motion.checks import refuse_drifting_own, refuse_stiff_orbit
-from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.equation import equation_of
-from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.plan import checked, kinks_of, most_steps, phase, rates, rounded_up, steps_for, suited
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.steps import Timeline
+from plough_opt.motion.solvers.checks import refuse_drifting_own, refuse_stiff_orbit
+from plough_opt.motion.solvers.compiled_steps import compiled_steps
+from plough_opt.motion.solvers.integrators import Integration, integration
+from plough_opt.motion.solvers.plan import checked, kinks_of, most_steps, phase, rates, rounded_up, steps_for, suited
+from plough_opt.motion.solvers.steps import Timeline
 
 TIGHT = 1e-12
 """Relative error that the tight integration aims at."""

@@ -12,10 +12,10 @@ from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Limit, LocalOptimum
 from plough_opt.design.search.landscape import Landscape
 from plough_opt.design.search.local import AS_FOUND
-from plough_opt.motion.checks import remarks as remarks_on_run
 from plough_opt.motion.run import without_repetition
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
+from plough_opt.motion.solvers.checks import remarks as remarks_on_run
 
 # Mounts whose frequencies differ by less than this fraction share one name.
 _SAME_MOUNT = 0.02

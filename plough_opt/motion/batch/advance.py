@@ -35,8 +35,8 @@ from plough_opt.core.plain_data import Array
 from plough_opt.motion.batch.series import Graph, Series, Switch, series_of
 from plough_opt.motion.effects import StrengthWaves
 from plough_opt.motion.equation import Equation, Structure, equation_of, parameters
-from plough_opt.motion.plan import rates
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.solvers.plan import rates
 
 
 @dataclass(frozen=True)

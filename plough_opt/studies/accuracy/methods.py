@@ -22,16 +22,16 @@ from plough_opt.core.errors import InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import as_number
 from plough_opt.core.plain_data import Array
 from plough_opt.motion import Run, simulate
-from plough_opt.motion.checks import refuse_missed_event
-from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import HarmonicBalance, StickSlip
 from plough_opt.motion.equation import Structure, equation_of
-from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS, ORDER_8, Accuracy, adaptive, fixed_step
-from plough_opt.motion.plan import most_steps, numbers_of, phase, rates_of, steps_for, timeline_of, with_setting
 from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import quasi_static
+from plough_opt.motion.solvers.checks import refuse_missed_event
+from plough_opt.motion.solvers.compiled_steps import compiled_steps
+from plough_opt.motion.solvers.integrators import integration
+from plough_opt.motion.solvers.plan import most_steps, numbers_of, phase, rates_of, steps_for, timeline_of, with_setting
 from plough_opt.studies.accuracy.reference import AVERAGES, QUANTITIES, Reference, ReferenceGradient, errors_of
 from plough_opt.studies.accuracy.result import AUTO, BARE, COMPILED, MACHINE_CODE, MethodResult, efficient, error_text
 

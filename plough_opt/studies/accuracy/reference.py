@@ -22,9 +22,9 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, equation_of, lightest_mass, parameters
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.plan import rates_of
 from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.solvers.plan import rates_of
 
 LONGDOUBLE: Final = np.longdouble
 """Widest float type of the machine: 64 bits of mantissa on x86, elsewhere often the 53 of a double."""

@@ -47,11 +47,11 @@ from plough_opt.design.model.optimality import decides, newton_step, symmetric
 from plough_opt.design.model.program import Program
 from plough_opt.design.search.effort import Search
 from plough_opt.design.search.explore import silent
-from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.plan import MOST_ADAPTIVE, MOST_OUTPUTS, phase, steps_for
 from plough_opt.motion.scene import Scene, duration_of
-from plough_opt.motion.steps import Timeline
+from plough_opt.motion.solvers.integrators import integration
+from plough_opt.motion.solvers.plan import MOST_ADAPTIVE, MOST_OUTPUTS, phase, steps_for
+from plough_opt.motion.solvers.steps import Timeline
 from plough_opt.studies.accuracy.methods import Task, gradients, integrators, models, periodic_orbit_of
 from plough_opt.studies.accuracy.reference import HAS_EXTENDED, Reference, reference_gradient, reference_run
 from plough_opt.studies.accuracy.result import (

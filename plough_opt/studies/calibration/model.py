@@ -35,8 +35,8 @@ from plough_opt.core.units import Unit, in_si
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import simulate
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.motion.scene import Scene, quantities_of, with_quantities
+from plough_opt.motion.solvers.plan import numbers_of, phase
 from plough_opt.motion.vocabulary import MEASURES
 
 RECORD: Final = "mount_force"

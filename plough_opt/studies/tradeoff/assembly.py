@@ -20,7 +20,7 @@ from plough_opt.design.model.ipopt import Point
 from plough_opt.design.model.optimality import PULLS, decides
 from plough_opt.design.search.effort import Search
 from plough_opt.design.search.explore import silent
-from plough_opt.motion.checks import remarks
+from plough_opt.motion.solvers.checks import remarks
 from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Tracer
 from plough_opt.studies.tradeoff.front import Axis, FrontCandidate, FrontPoint, Goal, Hole, MissingPoint
 from plough_opt.studies.tradeoff.program import FrontProgram, declarations

@@ -15,7 +15,7 @@ from plough_opt.motion.effects import TERMS, Own, Smooth, slopes
 from plough_opt.motion.equation import Structure, lightest_mass, parameters
 from plough_opt.motion.methods import DEFAULT_DERIVATIVES, DEFAULT_ERROR, DEFAULT_TOLERANCE, METHODS, ORDER_8, Accuracy
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.steps import Timeline
+from plough_opt.motion.solvers.steps import Timeline
 
 OUTPUTS = 400
 """Default number of intervals between output times."""

@@ -60,7 +60,7 @@ class Timeline:
         aligned: whether a step ends at each output. Each output interval then has the nearest whole number of steps, at
             least one. Otherwise outputs are interpolated between the ends of `READ_FROM` steps.
         moving: whether steps of order 8 also end at kinks whose times depend on the parameters: see
-            `plough_opt.motion.steps`. Steps are then aligned, their number in an output interval is rounded up,
+            `plough_opt.motion.solvers.steps`. Steps are then aligned, their number in an output interval is rounded up,
             and ``kinks`` are the knots of a speed profile only.
     """
 
@@ -439,7 +439,7 @@ def step(equation: Equation, width: int = 2, tableau: Tableau = DOP853) -> ca.Fu
 
 
 def run_map(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
-    """Return a run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
+    """Return a run as a Function of the parameters: see `plough_opt.motion.solvers.integrators.Integration`."""
     p, _ = equation.symbols(ca.MX)
     results = run_from(equation, timeline, tableau)(equation.start(p[:-1]), p)
     return ca.Function("run_map", [p], list(results), {"never_inline": True})

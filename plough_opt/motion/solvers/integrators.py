@@ -19,22 +19,22 @@ from plough_opt.core.checks import Meanings, attach
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
 from plough_opt.core.process import without_notices
-from plough_opt.motion.checks import (
+from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.equation import Equation, Structure, equation_of, lightest_mass
+from plough_opt.motion.methods import METHODS, Accuracy, tableau_of
+from plough_opt.motion.run import ARRAYS, Run, assemble, averages_of
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.solvers.checks import (
     failed_by,
     refuse_missed_event,
     refuse_runaway,
     refuse_weak_rest,
     relative_difference,
 )
-from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
-from plough_opt.motion.effects import StickSlip
-from plough_opt.motion.equation import Equation, Structure, equation_of, lightest_mass
-from plough_opt.motion.methods import METHODS, Accuracy, tableau_of
-from plough_opt.motion.orbit import orbit_map, without_orbit
-from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, rates_of, timeline_of
-from plough_opt.motion.run import ARRAYS, Run, assemble, averages_of
-from plough_opt.motion.scene import Scene
-from plough_opt.motion.steps import Timeline, run_map
+from plough_opt.motion.solvers.compiled_steps import CompiledSteps, compiled_steps
+from plough_opt.motion.solvers.orbit import orbit_map, without_orbit
+from plough_opt.motion.solvers.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, rates_of, timeline_of
+from plough_opt.motion.solvers.steps import Timeline, run_map
 
 # A negligible force [N], which keeps the sizes of a scene without forces above zero.
 _LEAST_FORCE = 1e-9

@@ -20,10 +20,10 @@ from plough_opt.core.compiler import Variant, library
 from plough_opt.core.expressions import Column
 from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.equation import Equation
-from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import DOP853
-from plough_opt.motion.plan import finer
-from plough_opt.motion.steps import (
+from plough_opt.motion.solvers.integrators import Integration, integration
+from plough_opt.motion.solvers.plan import finer
+from plough_opt.motion.solvers.steps import (
     Average,
     OneStep,
     Timeline,

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from plough_opt.core.expressions import Column, stacked
 from plough_opt.motion.effects import StrengthWaves, wave_names
 from plough_opt.motion.equation import Equation, Structure, equation_of
-from plough_opt.motion.plan import numbers_of
 from plough_opt.motion.run import Run, Settled, averages_of
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.steps import Timeline, run_from, step
+from plough_opt.motion.solvers.plan import numbers_of
+from plough_opt.motion.solvers.steps import Timeline, run_from, step
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ _SAMPLES = 16
 
 
 def orbit_map(equation: Equation, timeline: Timeline) -> ca.Function:
-    """Return the Function of one period of the orbit, as `plough_opt.motion.integrators.Integration` describes it.
+    """Return the Function of one period of the orbit: see `plough_opt.motion.solvers.integrators.Integration`.
 
     The duration, its last parameter, must be the period ell/V0.
     """

@@ -22,9 +22,9 @@ from plough_opt.core.compiler import Statements, library, variants
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import text_of
 from plough_opt.motion.equation import Equation, Structure, equation_of
-from plough_opt.motion.orbit import DIFFERENCE, LAST_STEP, MOST_ITERATIONS, near_orbit, returning
-from plough_opt.motion.plan import rates
-from plough_opt.motion.steps import READ_FROM, Timeline, readings, run_from, step
+from plough_opt.motion.solvers.orbit import DIFFERENCE, LAST_STEP, MOST_ITERATIONS, near_orbit, returning
+from plough_opt.motion.solvers.plan import rates
+from plough_opt.motion.solvers.steps import READ_FROM, Timeline, readings, run_from, step
 
 Array = NDArray[np.float64]
 
@@ -236,7 +236,7 @@ class ManyRuns:
         They are NaN if its parameters are not finite, if it needs too many steps, or if no orbit is found.
 
         Args:
-            p: parameters of `plough_opt.motion.integrators.Integration`, the duration last; a row for each run.
+            p: parameters of `plough_opt.motion.solvers.integrators.Integration`, the duration last; a row for each run.
             finer: factor on the number of steps.
             together: number of consecutive rows that take equally many steps, so that their results differ only because
                 of their parameters. It divides the number of rows.

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number
-from plough_opt.motion import plan
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import SLIP, STICK, Structure, parameters
 from plough_opt.motion.methods import METHODS, Accuracy
 from plough_opt.motion.run import Averages, Run
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.steps import hermite
+from plough_opt.motion.solvers import plan
+from plough_opt.motion.solvers.steps import hermite
 
 # exp of a larger exponent overflows.
 _MOST_GROWTH: Final = 700.0
@@ -237,7 +237,7 @@ def refuse_stiff_orbit(scene: Scene) -> None:
         scene: numeric scene with an orbit.
 
     Raises:
-        IntegrationError: the motion is stiffer than `plough_opt.motion.plan.MOST_SHOT` allows by default.
+        IntegrationError: the motion is stiffer than `plough_opt.motion.solvers.plan.MOST_SHOT` allows by default.
     """
     total = plan.rates_of(scene).fastest * float(as_number(scene.wave_period)) if scene.effects.waves else 0.0
     if total <= plan.MOST_SHOT:

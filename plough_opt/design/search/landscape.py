@@ -340,16 +340,19 @@ DIPS_PER_VARIABLE = 4
 """Dips on such lines, as many times the number of variables, from which descents start."""
 
 
-def lines_through(y: Vector, variables: Sequence[int]) -> Vector:
-    """Return `LINE_POSITIONS` designs along each of the given variables between its bounds, a row each.
+def lines_through(y: Vector, variables: Sequence[int], radius: float = 1.0) -> Vector:
+    """Return `LINE_POSITIONS` designs along each of the given variables, a row each.
 
     Args:
         y: a scaled design.
         variables: numbers of the variables.
+        radius: length of the lines on either side of the design; they end at bounds.
     """
     lines = np.repeat(y[None], LINE_POSITIONS * len(variables), axis=0)
     for k, variable in enumerate(variables):
-        lines[k * LINE_POSITIONS : (k + 1) * LINE_POSITIONS, variable] = np.linspace(0.0, 1.0, LINE_POSITIONS)
+        lines[k * LINE_POSITIONS : (k + 1) * LINE_POSITIONS, variable] = np.linspace(
+            max(y[variable] - radius, 0.0), min(y[variable] + radius, 1.0), LINE_POSITIONS
+        )
     return lines
 
 

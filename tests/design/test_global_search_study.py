@@ -115,7 +115,7 @@ def test_the_best_combination_of_a_catalogue_is_found_again():
 # --- fronts of two objectives and of three, by brute force --------------------------------------------------
 
 
-# The straight lines between neighbouring points deviate from the curve by at most this fraction of a range, but on seven
+# The straight lines between neighbouring points deviate from the curve by at most this fraction of a range, but on some
 # curves, where they cut a bend, or the corner where a branch begins (9, 28), between two of 40 points.
 BESIDE = 2e-3
 BESIDE_A_BEND = {9: 7.2e-3, 14: 2.2e-3, 18: 5.0e-3, 24: 2.9e-3, 28: 8.7e-3, 29: 2.1e-3, 30: 2.3e-3}

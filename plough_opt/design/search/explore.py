@@ -269,8 +269,8 @@ class Explorer:
     def _look_closer(self, rng: np.random.Generator) -> None:
         """Search lines through the best design, then boxes around it, and again around a better one: ripples hide it.
 
-        Ripples of five variables over a small feasible region end in a higher one without boxes and translations, and one
-        of 2,024 random cases without lines through the boxes.
+        Without boxes and translations ripples of five variables over a small feasible region end in a higher one, and
+        without lines through the boxes one of 2,024 random cases.
         """
         if not self.landscape.vectorised or self.stop() or not len((minima := self._basins()[0]).f):
             return

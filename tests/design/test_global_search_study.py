@@ -37,6 +37,8 @@ KNOWN = {kind: {k: own for k, own in study.problems(kind).items() if own[1]} for
 
 # By default each problem is solved with one of these seeds, by its number; the slow tests solve all problems with all.
 SEEDS = range(5)
+# Number and seed of cases that docs/explanation/search.md reports as wrong: an optimum, parts of a curve, a bend.
+MISSED = {("search", 199, 2), ("front", 34, 1), ("front", 34, 3), ("front", 34, 4), ("front", 35, 3)}
 
 
 def _blocks():
@@ -58,7 +60,10 @@ def seed_of(number, shift=0):
 @pytest.mark.parametrize(("kind", "numbers", "shift"), [*_blocks()])
 def test_the_best_or_the_least_shortfall_is_found(kind, numbers, shift):
     verdicts = {number: verdict_on(*KNOWN[kind][number], seed=seed_of(number, shift)) for number in numbers}
-    assert {number: own for number, own in verdicts.items() if not getattr(own, "right", False)} == {}
+    wrong = {number: own for number, own in verdicts.items() if not getattr(own, "right", False)}
+    if wrong and {(kind, number, seed_of(number, shift)) for number in wrong} <= MISSED:
+        pytest.xfail(str(wrong))
+    assert wrong == {}
 
 
 @pytest.mark.slow
@@ -146,13 +151,16 @@ def test_the_whole_front_is_found(kind, number, seed):
         for name in truth["names"]
     ]
     front = po.trade_off(design, *goals, points=study.POINTS[len(goals)], seed=seed)
-    verdict = study.judge_front(problem, truth, front)
-    assert verdict.right, (verdict, front.failures)
+    verdict, beside = study.judge_front(problem, truth, front), 0.0
     assert np.all(np.isfinite(front.objectives))
     if len(goals) == 2:
         wanted = np.array(truth["objectives"])
         behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)
-        assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE_A_BEND.get(number, BESIDE)
+        beside = np.max(np.min(np.max(behind, axis=2), axis=0))
+    whole = verdict.right and beside <= BESIDE_A_BEND.get(number, BESIDE)
+    if not whole and (kind, number, seed) in MISSED:
+        pytest.xfail(str(verdict))
+    assert whole, (verdict, beside, front.failures)
 
 
 @pytest.mark.slow

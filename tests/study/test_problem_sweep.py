@@ -185,7 +185,7 @@ test_invalid_texts_are_refused = refusals(
     (lambda: axis("5..5 kPa:9"), "from 5 to 5 is empty"),
     (lambda: axis("5..45:9"), '"5" has no unit'),
     (lambda: axis("5..45 kpa:9"), "unknown unit 'kpa'"),
-    (lambda: axis("5..45 kPa:1"), "number of values is 1"),
+    (lambda: axis("5..45 kPa:1"), "number of values = 1"),
     (lambda: axis("5..45 kPa:few"), '":few" is not a number of values'),
     (lambda: axis("5..45 kPa"), "has no number of values"),
     (lambda: axis("5..45 kPa:9", True), "does not use"),

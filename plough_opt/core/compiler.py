@@ -174,6 +174,16 @@ def _compile(
     raise _CompilationFailed(f"the C compiler {command[0]} failed ({uncompiled[0]})")
 
 
+def in_machine_code(functions: Sequence[ca.Function], variants: tuple[Variant, ...]) -> list[ca.Function] | None:
+    """Return functions in machine code, or None if there is no library: see `library`."""
+    generator = ca.CodeGenerator("functions.c")
+    for function in functions:
+        generator.add(function)
+    names = [function.name() for function in functions]
+    path = library(generator.dump(), variants, names)
+    return None if path is None else [ca.external(name, str(path)) for name in names]
+
+
 def compile_library(source: str, command: Sequence[str], into: Path, libraries: Sequence[str]) -> str | None:
     """Compile a C source into a library.
 

@@ -49,6 +49,7 @@ PICTURE_FORMATS = ("png", "svg", "pdf")
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
 """The colours of Okabe and Ito (2008), which colour-blind readers can distinguish, and a grey."""
 
+# As many as have no divisor in common with the number of colours, so that every pair of both occurs.
 _MARKERS: Final = "os^vDPX<>hp*"
 
 
@@ -375,8 +376,8 @@ def figure_with_panels(count: int, columns: int, size: tuple[float, float]) -> t
     return figure, places[:count]
 
 
-def look(number: int) -> dict[str, Any]:
-    """Return colour and marker of a line among many; the first of seven colours and twelve markers returns after 84."""
+def line_style(number: int) -> dict[str, Any]:
+    """Return colour and marker of a line by its number; no pair of the two repeats before number 84."""
     return {"color": COLOURS[number % len(COLOURS)], "marker": _MARKERS[number % len(_MARKERS)]}
 
 

@@ -5,8 +5,8 @@
    w, and as many of w and of its rate in the rate. Otherwise `times` is NULL. `memory` has room for 4 vectors at each
    end of a step and ${ends} more. `out` has a row for each run: the states at the outputs, if there are any, the means,
    and the mean squares about these. For orbits the two last rows of `in` have the units of states, and the state at
-   time 0 is only near the orbit, which is found as by `plough_opt.motion.solvers.orbit.returning`; without one the results are
-   NaN. */
+   time 0 is only near the orbit, which is found as by `plough_opt.motion.solvers.orbit.returning`; without one the
+   results are NaN. */
 typedef double Ends __attribute__((vector_size(8 * ${ends}), aligned(8)));
 void steps(int64_t n, const double *in, int64_t outputs, const double *times, const int64_t *from, const double *weight,
            double *memory, double *out) {

@@ -16,7 +16,7 @@ import numpy as np
 from plough_opt.core.checks import array_of, check_domain, check_kind, check_named, check_single
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi
-from plough_opt.core.files import look, shared_legend, written
+from plough_opt.core.files import line_style, shared_legend, written
 from plough_opt.core.tables import Grid, data_frame
 from plough_opt.laws import (
     AsabeD497,
@@ -405,7 +405,7 @@ def _draw(axes: Axes, comparison: Comparison, depth: float | None) -> None:
     drawn = {row.model for row in comparison.others if not all(map(math.isnan, row.drafts))}
     axes.plot(speeds, [draft / 1e3 for draft in ours.drafts], color="black", linewidth=2.2, label=ours.model)
     for row in (row for row in comparison.others if row.depth in (depth, None)):
-        own = look(models.index(row.model))
+        own = line_style(models.index(row.model))
         name = row.model if row.model in drawn else f"{row.model}: outside its domain"
         axes.plot(speeds, [draft / 1e3 for draft in row.drafts], **own, markersize=5, linewidth=1.2, label=name)
         if row.band:

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import Call, meaning_of, without_labels
-from plough_opt.core.compiler import Variant, library
+from plough_opt.core.compiler import Variant, in_machine_code
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
 from plough_opt.motion.batch.batch import DomainCheck
@@ -605,14 +605,10 @@ def as_machine_code(nlp: Nlp) -> Nlp | None:
 
     Second derivatives stay interpreted: few solves need them, and they take a compiler longest.
     """
-    functions = {"own_values": nlp.values, "own_slopes": nlp.slopes}
-    generator = ca.CodeGenerator("design.c")
-    for name, function in functions.items():
-        generator.add(_named(function, name))
-    path = library(generator.dump(), _VARIANTS, tuple(functions))
-    if path is None:
+    compiled = in_machine_code([_named(nlp.values, "own_values"), _named(nlp.slopes, "own_slopes")], _VARIANTS)
+    if compiled is None:
         return None
-    values, slopes = (ca.external(name, str(path)) for name in functions)
+    values, slopes = compiled
     return replace(nlp, values=values, build_slopes=lambda: slopes)
 
 

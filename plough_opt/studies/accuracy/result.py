@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import figure_with_panels, look, shared_legend, written
+from plough_opt.core.files import figure_with_panels, line_style, shared_legend, written
 from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
@@ -463,7 +463,7 @@ def error_text(error: float) -> str:
 
 # --- the picture: a panel for each question, on logarithmic axes ---
 
-# Methods that studies of a motion have, each with the same look in every picture.
+# Methods that studies of a motion have, each with the same style in every picture.
 _METHODS: Final = (
     AUTO, COMPILED, BARE, "dop853", "erk", "rosenbrock", "cvodes", "collocation", "idas", "rk", "quasi-static",
     "linearised", "harmonic balance", "periodic orbit",
@@ -475,9 +475,9 @@ _DIGITS: Final = {6.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 60.0: (1.0, 2.0, 5.0
 _LEAST: Final = 1e-19
 
 
-def look_of(method: str, number: int) -> dict[str, Any]:
+def style_of(method: str, number: int) -> dict[str, Any]:
     """Return colour and marker of a method; ``number`` tells those apart that no other study has."""
-    return look(_METHODS.index(method) if method in _METHODS else len(_METHODS) + number)
+    return line_style(_METHODS.index(method) if method in _METHODS else len(_METHODS) + number)
 
 
 def draw(axes: Axes, study: AccuracyStudy, question: Question) -> None:
@@ -489,7 +489,7 @@ def draw(axes: Axes, study: AccuracyStudy, question: Question) -> None:
 
     for number, method in enumerate(dict.fromkeys(entry.method for entry in entries)):
         chosen = sorted((e for e in entries if e.method == method), key=lambda e: -e.errors[question.error])
-        axes.plot(*points(chosen), linewidth=1.0, markersize=5.5, zorder=3, label=method, **look_of(method, number))
+        axes.plot(*points(chosen), linewidth=1.0, markersize=5.5, zorder=3, label=method, **style_of(method, number))
     axes.step(*points(study.front(question), max(floor, _LEAST)), where="post", color=_FRONT, linewidth=6.0, alpha=0.75,
               zorder=1, solid_capstyle="round", label="efficient front")  # fmt: skip
     default = [entry for entry in entries if (entry.method, entry.setting) == question.default]

@@ -515,7 +515,7 @@ class Statements:
         """
         if code == ca.OP_DIV and of[1].once and not of[0].once:
             code, of = ca.OP_MUL, [of[0], self._inverse(of[1])]
-        is_mask = code in COMPARISONS or code in _LOGICAL or code == ca.OP_NOT
+        is_mask = _is_mask(code)
         name = f"a{len(self.once) + len(self.each)}"
         value = _Value(name, all(each.once for each in of), is_mask=is_mask)
         lines = self.once if value.once else self.each
@@ -528,6 +528,19 @@ class Statements:
                 self._apply(ca.OP_INV, [of]) if of.constant is None else _Value.of(1.0 / of.constant)
             )
         return self._inverses[of.text]
+
+
+def operations(*operands: str) -> Iterator[tuple[int, str]]:
+    """Yield the code of each operation that has a vector form, and its result in C, given two vectors in C."""
+    one = {*SIMPLE, *LIBRARY, *LANE_BY_LANE, ca.OP_FABS, ca.OP_SIGN, ca.OP_NOT}
+    two = {*BINARY, *COMPARISONS, *_LOGICAL, *LIBRARY_OF_TWO, ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO}
+    for code in sorted(one | two):
+        of = [_Value(operand) for operand in operands[: 1 if code in one else 2]]
+        yield code, _Value(_expression(code, of), is_mask=_is_mask(code)).number
+
+
+def _is_mask(code: int) -> bool:
+    return code in COMPARISONS or code in _LOGICAL or code == ca.OP_NOT
 
 
 def _expression(code: int, of: list[_Value]) -> str:

@@ -16,6 +16,7 @@ from scipy.optimize import brentq
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
+from plough_opt.design.model import rows
 from plough_opt.design.model.program import Program
 from plough_opt.motion.solvers import compiled_steps
 from plough_opt.soil import elastic
@@ -453,6 +454,33 @@ def test_bounds_without_a_front_are_refused_by_name(r1_soil):
         d.solve()
 
 
+# --- many designs at once: machine code that reads operations, and CasADi without a compiler ---
+
+SYMBOLS = ca.SX.sym("x", 3), ca.SX.sym("p", 2)
+(U, V, W), (A, B) = map(ca.vertsplit, SYMBOLS)
+OPERATIONS = ca.vertcat(
+    U + V, U - 2.0 * V, U * V, U / V, 1.0 / W, -U, U**2, 2.0 * U, ca.sqrt(U), ca.fabs(U - V), ca.sign(U - V),
+    ca.exp(U), ca.log(U), ca.expm1(U), ca.log1p(U), ca.sin(U), ca.cos(U), ca.tan(U), ca.asin(U), ca.acos(U), ca.atan(U),
+    ca.sinh(U), ca.cosh(U), ca.tanh(U), ca.asinh(U), ca.acosh(1.0 + U), ca.atanh(U), ca.erf(U), ca.atan2(U, V),
+    ca.hypot(U, V), U**V, U**2.5, ca.fmin(U, V), ca.fmax(U, A), ca.floor(9.0 * U), ca.ceil(9.0 * U), U < V, U <= V,
+    ca.eq(U, V), ca.ne(U, V), ca.logic_not(U < V), ca.logic_and(U < V, V < W), ca.logic_or(U < V, V < W),
+    ca.if_else(U < V, W, ca.log(U - V)), B, 3.0,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("compiler", ["a compiler", "no compiler"])
+@pytest.mark.parametrize("count", [1, 16, 17, 50])
+def test_each_operation_on_many_designs_is_what_casadi_finds_one_by_one(count, compiler, monkeypatch):
+    if compiler == "no compiler":
+        monkeypatch.setattr(rows, "_library", lambda: None)
+    function = ca.Function("operations", [*SYMBOLS], [ca.densify(OPERATIONS), U + ca.log(V - W)])
+    x, p = (np.random.default_rng(2).uniform(0.01, 0.99, (count, size)) for size in (3, 2))
+    for number, found in enumerate(rows.RowFunction(function)(x, p)):
+        alone = [np.asarray(function(*own)[number]).ravel() for own in zip(x, p, strict=True)]
+        # The vector library is right to 4 units in the last place, and cancellation adds to that.
+        assert found == pytest.approx(np.array(alone), rel=1e-14, abs=1e-15, nan_ok=True)
+
+
 # --- compiled designs: the same optimum, and a warning if there is no compiler ---
 
 
@@ -486,6 +514,7 @@ def test_the_optimum_is_the_same(small, cache):
 def test_a_design_is_interpreted_without_a_compiler(small, cache, monkeypatch):
     monkeypatch.setenv("CC", "no_such_compiler")
     monkeypatch.setenv("PATH", str(cache))
+    monkeypatch.setattr(rows, "_library", lambda: None)
     compiled_steps.compiled_steps.cache_clear()
     try:
         best = small.solve(compiled=True)

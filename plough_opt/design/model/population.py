@@ -22,6 +22,7 @@ from plough_opt.design.model.nlp import (
     holds_maps,
     split,
 )
+from plough_opt.design.model.rows import RowFunction
 from plough_opt.motion.solvers.compiled_steps import ManyRuns
 from plough_opt.motion.solvers.integrators import Integration, integration
 
@@ -112,10 +113,6 @@ def linear_variables(
 
 # Numbers kept in memory at once: designs are evaluated in chunks of this many results.
 _MOST_RESULTS = 4_000_000
-# Largest number of designs in a map of the algebra: enough to hide the cost of a call, few enough to construct quickly.
-_MOST_MAPPED = 256
-# Descents evaluate up to this many designs at once; each such number gets a map of its own.
-_EXACT_MAPS = 12
 # Runs that are integrated one by one: the integrator's tolerance and the harmonics of an orbit, which leave relative
 # errors of about 1e-5.
 _ROUGH_TOLERANCE = 1e-7
@@ -172,8 +169,8 @@ class Population:
         self._groups = [self._group(parts, members, key) for key, members in members_by_key.items()]
         inputs = [ca.horzcat(*(parts.runs[k].inputs for k in group.members)) for group in self._groups]
         given = ca.Function("inputs", [y, p], [ca.densify(one) for one in inputs])
-        self._inputs = _RowFunction(given if holds_maps(given) else given.expand())
-        self._algebra = _RowFunction(_algebra_of_groups(full, parts, self._groups))
+        self._inputs = RowFunction(given if holds_maps(given) else given.expand())
+        self._algebra = RowFunction(_algebra_of_groups(full, parts, self._groups))
         self._rows = self._algebra.function.numel_out(1)
         self._own_laws = SceneChecks(parts, [y, p], has_own_law)
 
@@ -190,7 +187,7 @@ class Population:
         if run.integration.structure.orbit == "linearised":
             closed = run.integration.function
             p = ca.MX.sym("p", closed.numel_in(0))
-            rows = _RowFunction(ca.Function("rows", [p], [ca.densify(ca.veccat(*closed.call([p])))]))
+            rows = RowFunction(ca.Function("rows", [p], [ca.densify(ca.veccat(*closed.call([p])))]))
             return _Group(tuple(members), lambda theta, **_: rows(theta)[0], run.integration.results)
         self.vectorised = False
         solver = _rough_integration(run) if self._rough else run.integration
@@ -227,45 +224,6 @@ class Population:
         # A user's law may refuse numbers although its expressions have values.
         f[[*self._own_laws.reasons(*given, declared=False)]] = np.nan
         return f.ravel(), g
-
-
-class _RowFunction:
-    """A Function of dense columns, evaluated at many designs at once; arguments and results have a row for each."""
-
-    def __init__(self, function: ca.Function) -> None:
-        """Take the Function."""
-        self.function = function
-        self._sizes_in = [function.numel_in(k) for k in range(function.n_in())]
-        self._sizes = [function.numel_out(k) for k in range(function.n_out())]
-        # For each number of rows the buffer of a map and the call that evaluates it. Maps take long to construct.
-        self._buffers: dict[int, tuple[Any, Callable[[], None]]] = {}
-
-    def __call__(self, *arguments: Vector) -> list[Vector]:
-        """Return the results."""
-        count = len(arguments[0])
-        # These variables keep the arrays alive: the buffers store pointers only.
-        inputs = [np.ascontiguousarray(argument, dtype=float).reshape(-1) for argument in arguments]
-        results = [np.empty((count, size)) for size in self._sizes]
-        flat = [result.reshape(-1) for result in results]
-        first = 0
-        while first < count:
-            left = count - first
-            rows = left if left <= _EXACT_MAPS else min(_MOST_MAPPED, 1 << (left.bit_length() - 1))
-            buffer, evaluate = self._buffer(rows)
-            for k, (array, size) in enumerate(zip(inputs, self._sizes_in, strict=True)):
-                buffer.set_arg(k, array[first * size : (first + rows) * size].data)
-            for k, (array, size) in enumerate(zip(flat, self._sizes, strict=True)):
-                buffer.set_res(k, array[first * size : (first + rows) * size].data)
-            evaluate()
-            first += rows
-        return results
-
-    def _buffer(self, rows: int) -> tuple[Any, Callable[[], None]]:
-        if rows not in self._buffers:
-            mapped = self.function.map(rows) if rows > 1 else self.function
-            made: Any = mapped.buffer()  # CasADi's stubs lack the result's type
-            self._buffers[rows] = made
-        return self._buffers[rows]
 
 
 def _algebra_of_groups(full: ca.Function, parts: Split, groups: list[_Group]) -> ca.Function:

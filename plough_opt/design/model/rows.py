@@ -1,0 +1,105 @@
+"""Evaluation of a CasADi Function at many designs at once."""
+
+from collections.abc import Callable
+from ctypes import CDLL, c_int64, c_void_p
+from functools import lru_cache
+from string import Template
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.core.compiler import instructions, library, operations, variants
+from plough_opt.core.files import text_of
+from plough_opt.core.plain_data import Array
+
+# Numbers in a register of `rows.c`, and in the widest vector of a processor.
+_WIDE, _WIDEST = 16, 8
+# Numbers of designs whose maps are kept, because a map takes long to build.
+_MAPS = 32
+
+
+class RowFunction:
+    """A Function of dense columns, evaluated at many designs at once; arguments and results have a row for each.
+
+    A library reads the list of a Function's scalar operations and executes each for 16 designs at a time. CasADi's
+    `map` takes several times as long. It evaluates Functions that are not in scalar operations, and all of them without
+    a compiler.
+
+    Attributes:
+        function: the Function.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        """Take the Function."""
+        self.function = function
+        self._sizes_in = [function.numel_in(k) for k in range(function.n_in())]
+        self._sizes_out = [function.numel_out(k) for k in range(function.n_out())]
+        self._call = self._in_vectors() or self._by_map()
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Return the results."""
+        return self._call([np.ascontiguousarray(argument, dtype=float) for argument in arguments])
+
+    def _in_vectors(self) -> Callable[[list[Array]], list[Array]] | None:
+        """Return the evaluation by the library; None without it, or if it lacks an operation."""
+        if not self.function.is_a("SXFunction") or (evaluate := _library()) is None:
+            return None
+        rows, constants = _listed(self.function)
+        if not {code for code, *_ in rows} <= _CODES:
+            return None
+        listed, numbers = np.array(rows, dtype=np.int32), np.array(constants)
+        sizes = np.array([*self._sizes_in, *self._sizes_out])
+        room = _WIDE * self.function.sz_w() + _WIDEST
+
+        def call(arguments: list[Array]) -> list[Array]:
+            count, memory = len(arguments[0]), np.empty(room)
+            results = [np.empty((count, size)) for size in self._sizes_out]
+            places = (c_void_p * len(sizes))(*(array.ctypes.data for array in (*arguments, *results)))
+            at = [array.ctypes.data for array in (listed, numbers, sizes)]
+            evaluate(count, len(listed), *at, len(arguments), places, memory.ctypes.data)
+            return results
+
+        return call
+
+    def _by_map(self) -> Callable[[list[Array]], list[Array]]:
+        """Return the evaluation by CasADi."""
+        mapped = lru_cache(_MAPS)(self.function.map)
+        return lambda given: [np.asarray(one).T for one in mapped(len(given[0])).call([rows.T for rows in given])]
+
+
+# Codes of the operations that the library executes.
+_CODES = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, *(code for code, _ in operations("", ""))}
+
+
+def _listed(function: ca.Function) -> tuple[list[tuple[int, int, int, int]], list[float]]:
+    """Return the operations of a Function of SX as `rows.c` reads them, and the constants."""
+    rows: list[tuple[int, int, int, int]] = []
+    constants: list[float] = []
+    for code, into, of, constant in instructions(function):
+        if code == ca.OP_INPUT:
+            rows.append((code, into[0], of[0], of[1]))
+        elif code == ca.OP_OUTPUT:
+            rows.append((code, of[0], into[0], into[1]))
+        elif code == ca.OP_CONST:
+            rows.append((code, into[0], len(constants), 0))
+            constants.append(constant)
+        else:
+            rows.append((code, into[0], of[0], of[-1]))
+    return rows, constants
+
+
+@lru_cache(maxsize=1)
+def _library() -> Any:
+    """Return the function of `rows.c`, or None without a compiler."""
+    cases = "\n".join(f"        case {code}: OF_PARTS({result})" for code, result in operations("a[k]", "b[k]"))
+    own = Template(text_of(__package__, "rows.c")).substitute(
+        input=ca.OP_INPUT, output=ca.OP_OUTPUT, constant=ca.OP_CONST, cases=cases
+    )
+    path = library(text_of("plough_opt.core", "vectors.c") + own, variants("-O2"), ("rows",))
+    if path is None:
+        return None
+    evaluate = CDLL(str(path)).rows
+    evaluate.argtypes = [c_int64, c_int64, *[c_void_p] * 3, c_int64, *[c_void_p] * 2]
+    evaluate.restype = None
+    return evaluate

@@ -338,8 +338,8 @@ class RunGroup:
         return one.map(count, "serial")
 
 
-# Runs in a group from which on the second that a compiler takes for its jets soon pays.
-_MANY_RUNS = 16
+MANY_RUNS = 16
+"""Runs in a group from which on the half second that a compiler takes for their jets soon pays."""
 
 
 def grouped_runs(
@@ -348,7 +348,7 @@ def grouped_runs(
     y: ca.MX,
     p: ca.MX,
     steps: Sequence[int | None],
-    compiled: bool,
+    by_code: float,
 ) -> list[RunGroup]:
     """Return the runs of a design in groups that share one integrator.
 
@@ -358,7 +358,7 @@ def grouped_runs(
         y: scaled variables.
         p: parameters.
         steps: for each run, the number of steps, or None for the method it was written with.
-        compiled: whether large groups may use machine code.
+        by_code: as in `build_nlp`.
     """
     members_of: dict[tuple[int, int], tuple[Integration, list[int]]] = {}
     for k, (run, averages, count) in enumerate(zip(runs, only_averages, steps, strict=True)):
@@ -371,8 +371,8 @@ def grouped_runs(
         inputs = ca.Function("inputs", [y, p], [ca.densify(parameters)]).expand()
         sparsity = ca.Function("stacked", [y, p], [ca.vec(parameters)]).jac_sparsity(0, 0)
         varying = tuple(sorted({row % parameters.shape[0] for row in sparsity.row()}))
-        by_code = compiled and len(members) >= _MANY_RUNS
-        groups.append(RunGroup(solver, first, varying, tuple(members), inputs, y.numel(), by_code))
+        compiled = len(members) >= by_code
+        groups.append(RunGroup(solver, first, varying, tuple(members), inputs, y.numel(), compiled))
     return groups
 
 
@@ -444,7 +444,7 @@ def hessian_function(y: ca.MX, p: ca.MX, lam_f: ca.MX, lam_g: ca.MX, hessian: ca
     return ca.Function("hess_lag", [y, p, lam_f, lam_g], [ca.triu(hessian)], names, result)
 
 
-def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None], *, whole: bool = False) -> Nlp:
+def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None], by_code: float = MANY_RUNS) -> Nlp:
     """Return the program of an objective and requirements.
 
     Args:
@@ -452,11 +452,11 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None], *, whol
         y: scaled variables.
         p: parameters.
         steps: for each run, the number of steps, or None for the method it was written with.
-        whole: whether all of it will be machine code, so that no part of it may be.
+        by_code: number of runs in a group from which on their first derivatives are machine code.
     """
     every = algebra_of(parts, y, p)
     averages = [averages_only(run, every, 2 + k) for k, run in enumerate(parts.runs)]
-    groups = grouped_runs(parts.runs, averages, y, p, steps, not whole)
+    groups = grouped_runs(parts.runs, averages, y, p, steps, by_code)
     alike = tuple((group.first, group.members) for group in groups)
     if alike not in parts.algebra:
         parts.algebra[alike] = _Algebra.around(groups, parts, y, p)

@@ -17,7 +17,7 @@ from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
-from plough_opt.design.model.nlp import Nlp, Split, as_machine_code, build_nlp, first_slack, relaxed, split
+from plough_opt.design.model.nlp import MANY_RUNS, Nlp, Split, as_machine_code, build_nlp, first_slack, relaxed, split
 from plough_opt.design.model.population import LinearVariable, Population, linear_variables
 from plough_opt.design.model.tight_integration import (
     TightEvaluation,
@@ -130,6 +130,7 @@ class Program:
         exact: objective and requirements by tight integration.
         owner: for each row of the requirements, the number of its requirement.
         compiled: whether to translate the program into machine code.
+        many_slopes: as given to `Program.of`.
         bare: as given to `Program.of`.
         ipopt: as given to `Program.of`.
         over: as given to `Program.of`.
@@ -146,6 +147,7 @@ class Program:
     exact: TightEvaluation
     owner: list[int]
     compiled: bool
+    many_slopes: bool
     bare: Program | None
     over: str
     _y: ca.MX
@@ -167,6 +169,7 @@ class Program:
         declared: Declarations,
         *,
         compiled: bool = False,
+        many_slopes: bool = False,
         bare: Program | None = None,
         over: str = "",
         ipopt: Mapping[str, Any] | None = None,
@@ -176,6 +179,7 @@ class Program:
         Args:
             declared: the declarations.
             compiled: whether to translate the program into machine code.
+            many_slopes: whether so many slopes will be taken that machine code for those of single runs soon pays.
             bare: if this program covers the tolerance box around a design, the program of the design alone.
             over: a sentence on the objective over that box, for reports.
             ipopt: options of IPOPT that the user gave, with the prefix of CasADi.
@@ -196,7 +200,7 @@ class Program:
             )
         owner = [k for k, r in enumerate(declared.requirements) for _ in range(r.expression.numel())]
         y, p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
-        return cls(declared, own, exact, owner, compiled, bare, over, y, p, dict(ipopt or {}))
+        return cls(declared, own, exact, owner, compiled, many_slopes, bare, over, y, p, dict(ipopt or {}))
 
     def start(self) -> Vector:
         """Return the guess, scaled."""
@@ -304,7 +308,9 @@ class Program:
         key = (self.objective_scale, *self.scales)
         y, p = self._y, self._p
         parts = _cached(self._caches.parts, key, 1, lambda: split(self.scaled(y, p), [y, p]))
-        write = partial(build_nlp, parts, y, p, whole=self.compiled)
+        # A program that is translated as a whole cannot call machine code.
+        by_code = math.inf if self.compiled else 1 if self.many_slopes else MANY_RUNS
+        write = partial(build_nlp, parts, y, p, by_code=by_code)
         limits = self.low, self.high
         return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled, self.ipopt)
 

@@ -48,16 +48,17 @@ class RowFunction:
         rows, constants = _listed(self.function)
         if not {code for code, *_ in rows} <= _CODES:
             return None
-        listed, numbers = np.array(rows, dtype=np.int32), np.array(constants)
-        sizes = np.array([*self._sizes_in, *self._sizes_out])
+        sizes = [*self._sizes_in, *self._sizes_out]
+        # Kept as long as their addresses are used.
+        self._program = np.array(rows, dtype=np.int32), np.array(constants), np.array(sizes)
+        listed, places = [array.ctypes.data for array in self._program], c_void_p * len(sizes)
         room = _WIDE * self.function.sz_w() + _WIDEST
 
         def call(arguments: list[Array]) -> list[Array]:
             count, memory = len(arguments[0]), np.empty(room)
             results = [np.empty((count, size)) for size in self._sizes_out]
-            places = (c_void_p * len(sizes))(*(array.ctypes.data for array in (*arguments, *results)))
-            at = [array.ctypes.data for array in (listed, numbers, sizes)]
-            evaluate(count, len(listed), *at, len(arguments), places, memory.ctypes.data)
+            at = places(*[array.ctypes.data for array in (*arguments, *results)])
+            evaluate(count, len(rows), *listed, len(arguments), at, memory.ctypes.data)
             return results
 
         return call

@@ -181,6 +181,7 @@ class FrontProgram:
                 requirements=(*declared.requirements, Requirement(_POSITION, normals @ scaled - limits, None, 0.0, "")),
             ),
             compiled=compiled,
+            many_slopes=True,
         )
         first = self.program.owner.index(len(declared.requirements))
         self.position_rows = np.arange(first, first + count - 1)

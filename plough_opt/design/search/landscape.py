@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.design.model.ipopt import Vector
+from plough_opt.design.model.optimality import difference_quotients
 from plough_opt.design.model.program import Program
 
 FEASIBLE = 1e-6
@@ -152,6 +153,13 @@ class Landscape:
         self.designs_tried += len(points)
         f, g = self.program.population(points, self.p, finer=finer, together=together)
         return f / self.objective_scale, g / self._scale
+
+    def quotients(self, y: Vector) -> tuple[Vector, Vector, Vector] | None:
+        """Return `difference_quotients` at a design; None without a value, or if runs are integrated one by one."""
+        if not self.vectorised:
+            return None
+        with np.errstate(all="ignore"):
+            return difference_quotients(lambda points: self.rows(points, finer=FINER, together=len(points)), y)
 
     def violations(self, g: Vector) -> Vector:
         """Return each requirement's largest violation, a row for each design; infinite where g is not finite."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -284,11 +283,7 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
         p: parameters.
         start: scaled variables, nearly optimal.
     """
-    landscape = Landscape(program, p)
-    evaluate = partial(landscape.rows, finer=FINER, together=(len(start) + 1) * (len(start) + 2) // 2)
-    with np.errstate(all="ignore"):
-        derivatives = difference_quotients(evaluate, start) if landscape.vectorised else None
-    if derivatives is None:
+    if (derivatives := Landscape(program, p).quotients(start)) is None:
         return None
     margin = np.where(program.low < program.high, _MARGIN, 0.0)
     corrector = Corrector(program, margin)

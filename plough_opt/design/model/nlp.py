@@ -508,26 +508,29 @@ def holds_maps(function: ca.Function) -> bool:
 
 @dataclass(frozen=True)
 class _Algebra:
-    """The graph around the runs and its derivatives: J and g over (y, p, o), and theta over (y, p).
+    """The graph around the runs, J and g over (y, p, o), and theta over (y, p); derivatives are built when needed.
 
     Attributes:
-        values: (y, p, o) -> (J, g).
-        slopes: (y, p, o) -> (J, g, J_y, J_o, g_y, g_o).
-        curvature: (y, p, o, S, lam_f, lam_g) -> (L_zz S, L_o). The product with S is formed by directional derivatives,
-            because S has few columns, while z may have thousands of rows and L_zz may be full.
-        theta_slopes: for each group, (y, p) -> theta_y, a block of columns for each run.
-        theta_curvature: (y, p, c) -> sum_v c_v theta_v,yy.
+        y: symbol of the variables.
+        p: symbol of the parameters.
+        o: symbol of the results of all runs.
+        objective: J.
+        requirements: g.
+        groups: the runs.
+        theta: for each group, theta as a column.
     """
 
-    values: ca.Function
-    slopes: ca.Function
-    curvature: ca.Function
-    theta_slopes: list[ca.Function]
-    theta_curvature: ca.Function
+    y: Any
+    p: Any
+    o: Any
+    objective: Any
+    requirements: Any
+    groups: list[RunGroup]
+    theta: list[Any]
 
     @classmethod
     def around(cls, groups: list[RunGroup], parts: Split, variables: ca.MX, parameters: ca.MX) -> _Algebra:
-        """Differentiate the graph around runs, with respect to those results only that the groups provide."""
+        """Write the graph around runs with those results only that the groups provide."""
         whole = algebra_of(parts, variables, parameters)
         kind: Any = ca.SX if whole.is_a("SXFunction") else ca.MX
         y, p = kind.sym("y", variables.numel()), kind.sym("p", parameters.numel())
@@ -536,26 +539,53 @@ class _Algebra:
         padded = [
             ca.vertcat(kind.zeros(symbol.numel() - used[k].numel()), used[k]) for k, symbol in enumerate(parts.results)
         ]
-        objective, requirements = whole(y, p, *padded)
-        o = _column(list(used.values()), kind)
-        slopes = [ca.jacobian(e, v) for e in (objective, requirements) for v in (y, o)]
-        lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", requirements.numel())
-        z, seeds = ca.vertcat(y, o), kind.sym("S", y.numel() + o.numel(), y.numel())
-        gradient = ca.gradient(lam_f * objective + ca.dot(lam_g, requirements), z)
-        curvature = [ca.jtimes(gradient, z, seeds), gradient[y.numel() :]]
         theta = [ca.vec(group.inputs(y, p)[list(group.varying), :]) for group in groups]
-        weights = kind.sym("c", sum(part.numel() for part in theta))
-        theta_yy = ca.hessian(ca.dot(weights, _column(theta, kind)), y)[0]
-        return cls(
-            values=ca.Function("values", [y, p, o], [objective, requirements]),
-            slopes=ca.Function("slopes", [y, p, o], [objective, requirements, *slopes]),
-            curvature=ca.Function("curvature", [y, p, o, seeds, lam_f, lam_g], curvature),
-            theta_slopes=[
-                ca.Function("theta_slopes", [y, p], [ca.densify(group.run_beside_run(ca.jacobian(part, y)))])
-                for group, part in zip(groups, theta, strict=True)
-            ],
-            theta_curvature=ca.Function("theta_curvature", [y, p, weights], [theta_yy]),
-        )
+        objective, requirements = whole(y, p, *padded)
+        return cls(y, p, _column(list(used.values()), kind), objective, requirements, groups, theta)
+
+    @cached_property
+    def values(self) -> ca.Function:
+        """(y, p, o) -> (J, g)."""
+        return ca.Function("values", [self.y, self.p, self.o], [self.objective, self.requirements])
+
+    @cached_property
+    def slopes(self) -> ca.Function:
+        """(y, p, o) -> (J, g, J_y, J_o, g_y, g_o)."""
+        results = [self.objective, self.requirements]
+        slopes = [ca.jacobian(e, v) for e in results for v in (self.y, self.o)]
+        return ca.Function("slopes", [self.y, self.p, self.o], [*results, *slopes])
+
+    @cached_property
+    def curvature(self) -> ca.Function:
+        """(y, p, o, S, lam_f, lam_g) -> (L_zz S, L_o).
+
+        The product with S is formed by directional derivatives, because S has few columns, while z may have thousands
+        of rows and L_zz may be full.
+        """
+        kind, variables = type(self.y), self.y.numel()
+        lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", self.requirements.numel())
+        z = ca.vertcat(self.y, self.o)
+        seeds = kind.sym("S", z.numel(), variables)
+        gradient = ca.gradient(lam_f * self.objective + ca.dot(lam_g, self.requirements), z)
+        results = [ca.jtimes(gradient, z, seeds), gradient[variables:]]
+        return ca.Function("curvature", [self.y, self.p, self.o, seeds, lam_f, lam_g], results)
+
+    @cached_property
+    def theta_slopes(self) -> list[ca.Function]:
+        """For each group, (y, p) -> theta_y, a block of columns for each run."""
+        blocks = [
+            group.run_beside_run(ca.jacobian(part, self.y)) for group, part in zip(self.groups, self.theta, strict=True)
+        ]
+        return [ca.Function("theta_slopes", [self.y, self.p], [ca.densify(block)]) for block in blocks]
+
+    @cached_property
+    def theta_curvature(self) -> ca.Function:
+        """(y, p, c) -> sum_v c_v theta_v,yy."""
+        kind = type(self.y)
+        theta = _column(self.theta, kind)
+        weights = kind.sym("c", theta.numel())
+        bent, _ = ca.hessian(ca.dot(weights, theta), self.y)
+        return ca.Function("theta_curvature", [self.y, self.p, weights], [bent])
 
 
 def _hessian(

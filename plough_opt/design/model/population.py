@@ -20,7 +20,6 @@ from plough_opt.design.model.nlp import (
     averages_only,
     has_own_law,
     holds_maps,
-    split,
 )
 from plough_opt.design.model.rows import RowFunction
 from plough_opt.motion.solvers.compiled_steps import ManyRuns
@@ -78,21 +77,19 @@ class LinearVariable:
 
 
 def linear_variables(
-    expressions: Sequence[ca.MX], variables: Sequence[Variable], parameters: Sequence[ca.MX], p: Vector
+    parts: Split, variables: Sequence[Variable], parameters: Sequence[ca.MX], p: Vector
 ) -> list[LinearVariable]:
     """Return variables that can be solved for in closed form: see `LinearVariable`. No two of them share a row.
 
     Args:
-        expressions: objective and requirements in terms of the variables and parameters.
+        parts: objective and requirements in terms of the variables and parameters, split around their runs.
         variables: of the design. At least one of them remains to be searched.
         parameters: symbols of the parameters.
         p: values of the parameters.
     """
-    symbols = [v.symbol for v in variables]
-    parts = split(list(expressions), [*symbols, *parameters])
     given = ca.vertcat(*(ca.vec(item) for run in parts.runs for item in (run.inputs, run.quantities)))
     f, g = parts.expressions[0], ca.vertcat(*(ca.vec(one) for one in parts.expressions[1:]))
-    changing = ca.vertcat(*symbols, *parts.results)
+    changing = ca.vertcat(*(v.symbol for v in variables), *parts.results)
     found: list[LinearVariable] = []
     taken = np.zeros(g.numel(), dtype=bool)
     for number, v in enumerate(variables):

@@ -322,7 +322,7 @@ class Program:
             self._caches.linear,
             p.tobytes(),
             1,
-            lambda: linear_variables(_expressions(declared), declared.variables, symbols, p),
+            lambda: linear_variables(self.exact.parts, declared.variables, symbols, p),
         )
 
     @property

@@ -70,6 +70,7 @@ class TightEvaluation:
     """Numeric evaluation of expressions whose runs are integrated again tightly.
 
     Attributes:
+        parts: the expressions, split around their runs.
         runs: the runs in the expressions.
         limits: limits of the laws in the expressions, as arguments of a `Requirement`.
     """
@@ -85,7 +86,7 @@ class TightEvaluation:
             shared: another evaluation, whose cache of runs this one uses, too.
         """
         self._tight: _Tight = lru_cache(maxsize=_MOST_CACHED)(_tight_results) if shared is None else shared._tight
-        parts = split(list(expressions), list(symbols))
+        self.parts = parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
         limits: dict[_Kept, list[ca.MX]] = {}

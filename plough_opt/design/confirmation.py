@@ -326,10 +326,10 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     if _judged_bare(landscape, judge):
         return [int(k) for k in np.argsort(own, kind="stable")]
     low, median, high = np.quantile(_objectives(landscape, points, FINER), (0.25, 0.5, 0.75), axis=1, method="higher")
-    error = _MEDIAN_ERROR * np.where(np.isfinite(high), high - low, np.inf)
     best = int(np.argmin(median))
     broad = ~_too_high(landscape, median, own)
     with np.errstate(invalid="ignore"):
+        error = _MEDIAN_ERROR * np.where(np.isfinite(high), high - low, np.inf)
         equal = broad & (median - median[best] <= 2.0 * np.hypot(error, error[best]))
     equal[best] = True
     return sorted(range(len(points)), key=lambda k: (not equal[k], own[k] if equal[k] else median[k]))

@@ -564,3 +564,13 @@ def test_optimum_of_the_defined_part_or_an_honest_status(problem):
     skipped = [text for text in best.warnings if "could not be evaluated and were skipped" in text]
     holed = problem.shape not in ("everywhere", "nowhere")
     assert bool(skipped) == (holed and problem.way != "declared")
+
+
+@pytest.mark.thorough
+def test_designs_that_oscillate_too_fast_do_not_spoil_their_neighbours():
+    d = po.Design()
+    stiffness = d.variable("stiffness", guess=2e5, lower=1e4, upper=1e6, log=True, unit="N/m")
+    scene = scene_of(stiffness=stiffness, damping=400.0, strength_wave=po.StrengthWave(0.3, 0.2))
+    d.minimise(po.simulate(scene, 200.0, outputs=10).force_rms / 1e3)
+    # The stiffest designs take more steps than a search integrates, and have no value in it.
+    assert d.solve(search=16).variables["stiffness"] == pytest.approx(1e4, rel=1e-12)

@@ -133,7 +133,8 @@ def _is_downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
     count = max(_FEWEST_POSITIONS, int(_POSITIONS_ACROSS * np.max(np.abs(end - start))))
     fractions = np.linspace(0.0, 1.0, count)[:, None]
     merit = landscape(start + fractions * (end - start)).merit
-    rise = np.max(merit - np.minimum.accumulate(merit))
+    with np.errstate(invalid="ignore"):
+        rise = np.max(merit - np.minimum.accumulate(merit))
     return bool(rise <= BARRIER * abs(merit[0]))
 
 

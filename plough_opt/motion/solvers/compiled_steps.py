@@ -246,8 +246,10 @@ class ManyRuns:
         known = dict(zip(self._equation.names, p.T, strict=False))
         with np.errstate(all="ignore"):
             steps = self._steps(known, p[:, -1], finer)
-        steps = np.repeat(steps.reshape(-1, together).max(axis=1), together)
-        sound = np.flatnonzero(np.isfinite(steps) & np.isfinite(p).all(axis=1))
+        few = np.isfinite(steps) & np.isfinite(p).all(axis=1)
+        groups, members = steps.reshape(-1, together), few.reshape(-1, together)
+        steps = np.repeat(groups.max(axis=1, initial=0.0, where=members), together)
+        sound = np.flatnonzero(few)
         # Runs in one register wait for the slowest of them.
         order = sound[np.argsort(steps[sound], kind="stable")]
         chunks = [order[k : k + _RUNS_AT_ONCE] for k in range(0, len(order), _RUNS_AT_ONCE)]

@@ -12,14 +12,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign, NotConverged
 from plough_opt.core.expressions import Column
-from plough_opt.design.confirmation import BOX_DESIGNS, boxes, corners, unit_box
+from plough_opt.design.confirmation import BOX, boxes, corners, unit_box
 from plough_opt.design.declarations import Declarations, Requirement, Variable
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.nlp import split
@@ -27,7 +27,7 @@ from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.result.sensitivity import Sensitivity, Solved
 from plough_opt.design.search.explore import silent
-from plough_opt.design.search.landscape import FEASIBLE, FINER, Landscape, evaluated_sample
+from plough_opt.design.search.landscape import FINER, VIOLATION, Landscape, evaluated_sample
 from plough_opt.design.solving import Known, Request, solve_program
 
 Over = Literal["mean", "worst"]
@@ -38,21 +38,22 @@ WORST = "worst objective\n"
 
 # The requirement that does so; sensitivities call its sides by this name.
 _BELOW_WORST: Final = "one of the worst designs within the tolerances\n"
-# Most runs of all designs in a box together: they take seconds for a whole solve.
-_MOST_RUNS_IN_BOX = 64
-# Fewest designs in a box.
-_FEWEST_IN_BOX = 8
-# Designs whose boxes are sampled to find bounds on the worst objective.
-_BOUNDING_SAMPLE = 256
-# The best of them, whose worst positions make the first program.
-_PROMISING = 8
-# The lower bound lies below the lowest sampled objective by this many times the sampled range. Bounds that prove too
-# narrow are extended by as much.
-_BELOW = 2.0
-# An optimum within this fraction of the range from the lower bound calls for a lower one.
-_AT_THE_BOUND = 1e-6
-# A position joins the program if its scaled objective or violation is worse than the program's own by more than this.
-_WORSE = 1e-10
+
+
+class _CuttingSets(NamedTuple):
+    """Bounds of the worst objective, and which positions join the program."""
+
+    sample: int = 256  # designs whose boxes are sampled to find bounds
+    promising: int = 8  # the best of them, whose worst positions make the first program
+    # The lower bound lies below the lowest sampled objective by this many times the sampled range. Bounds that prove
+    # too narrow are extended by as much.
+    below: float = 2.0
+    at_bound: float = 1e-6  # An optimum within this fraction of the range from the lower bound calls for a lower one.
+    # A position joins if its scaled objective or violation is worse than the program's own by more than this.
+    worse: float = 1e-10
+
+
+_CUTS = _CuttingSets()
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ class ToleranceBoxSolver:
                 if above and not raised:
                     # The optimum is higher than the sample suggested.
                     reach = max(bounds[1] - bounds[0], conflicts[_BELOW_WORST])
-                    bounds, raised = (bounds[0], bounds[1] + _BELOW * reach), True
+                    bounds, raised = (bounds[0], bounds[1] + _CUTS.below * reach), True
                 elif chosen != self._every:
                     # Reasons are given for all positions.
                     chosen, request = self._every, asked
@@ -136,9 +137,9 @@ class ToleranceBoxSolver:
                 else:
                     raise
                 continue
-            if best.objective <= bounds[0] + _AT_THE_BOUND * (bounds[1] - bounds[0]):
+            if best.objective <= bounds[0] + _CUTS.at_bound * (bounds[1] - bounds[0]):
                 # The optimum is lower than the sample suggested: extend the range downwards and solve again.
-                bounds = bounds[0] - _BELOW * (bounds[1] - bounds[0]), bounds[1]
+                bounds = bounds[0] - _CUTS.below * (bounds[1] - bounds[0]), bounds[1]
             elif chosen == self._every:
                 return best
             elif best.status != "solved":
@@ -163,8 +164,8 @@ class ToleranceBoxSolver:
         """Return the positions that are worst for the objective or a requirement in the boxes of promising designs."""
         if landscape is None:
             return self._every
-        sampled = evaluated_sample(landscape, _BOUNDING_SAMPLE)
-        best = np.argsort(sampled.merit, kind="stable")[:_PROMISING]
+        sampled = evaluated_sample(landscape, _CUTS.sample)
+        best = np.argsort(sampled.merit, kind="stable")[: _CUTS.promising]
         points = np.vstack([landscape.program.start()[None], sampled.points[best]])
         f, violation = self._box.rows(landscape, points)
         return tuple(sorted({*np.argmax(f, axis=1).tolist(), *np.argmax(violation, axis=1).ravel().tolist()}))
@@ -188,7 +189,7 @@ class ToleranceBoxSolver:
         f, violation = self._box.rows(landscape, points)
         values = np.concatenate([f[:, :, None], violation], axis=2)
         worst, own = np.max(values, axis=1), np.max(values[:, chosen], axis=1)
-        missing = set(np.argmax(values, axis=1)[worst > own + _WORSE].tolist())
+        missing = set(np.argmax(values, axis=1)[worst > own + _CUTS.worse].tolist())
         if not missing:
             made = boxes(variables, points[:1], self._box.unit)
             missing = {k for k in {*self._every} - {*chosen} if landscape.program.refuses(made[k], landscape.p)}
@@ -286,8 +287,8 @@ def designs_per_box(declared: Declarations) -> int:
     parts = split([declared.objective, *(r.expression for r in declared.requirements)], declared.symbols())
     runs = max(1, len(parts.runs))
     if not all(run.integration.structure.stepped for run in parts.runs):
-        return _FEWEST_IN_BOX
-    return max(_FEWEST_IN_BOX, min(BOX_DESIGNS, 1 << int(math.log2(max(1, _MOST_RUNS_IN_BOX // runs)))))
+        return BOX.fewest
+    return max(BOX.fewest, min(BOX.designs, 1 << int(math.log2(max(1, BOX.most_runs // runs)))))
 
 
 def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
@@ -298,13 +299,13 @@ def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
         p: parameters.
     """
     landscape = Landscape(program.at(p, any_guess=True), p)
-    sampled = evaluated_sample(landscape, _BOUNDING_SAMPLE if landscape.vectorised else _FEWEST_IN_BOX)
+    sampled = evaluated_sample(landscape, _CUTS.sample if landscape.vectorised else BOX.fewest)
     valid = np.flatnonzero(np.isfinite(sampled.f))
     # All designs in a box are made as they are: no variable is solved for again.
     made = Landscape(landscape.program, p, range(landscape.dimensions))
     inside = made(boxes(program.declared.variables, sampled.points[valid]))
-    worst, violation = (part.reshape(-1, BOX_DESIGNS).max(axis=1) for part in (inside.f, inside.violation))
-    feasible = np.isfinite(worst) & (violation <= FEASIBLE)
+    worst, violation = (part.reshape(-1, BOX.designs).max(axis=1) for part in (inside.f, inside.violation))
+    feasible = np.isfinite(worst) & (violation <= VIOLATION.allowed)
     if np.any(feasible):
         high = float(worst[feasible].min())
     else:
@@ -312,4 +313,4 @@ def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
     low = float(np.min(sampled.f[valid], initial=high))
     # The range must not be empty, even for a constant objective.
     reach = max(high - low, abs(high), 1e-6)
-    return (low - _BELOW * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale
+    return (low - _CUTS.below * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -25,6 +25,7 @@ from plough_opt.design.model.tight_integration import (
     corners,
     rough_steps,
     steps_at,
+    steps_factor,
     values_at_guess,
 )
 from plough_opt.motion.methods import DEFAULT_ERROR
@@ -81,21 +82,18 @@ class BuiltProgram:
         return Solver(relaxed(self.nlp, self.owner), *self.limits, self.ipopt)
 
 
-# An error e times too large takes e to this power times as many steps: the method has order 8.
-_STEPS_EXPONENT = 0.125
-# Largest factor on the number of steps in one refinement.
-_MOST_STEPS_FACTOR = 3.0
+class _Scaling(NamedTuple):
+    """Bounds of the scales, and of the sample whose medians set them if the guess has no value."""
+
+    smallest: float = 1e-12  # size that an objective or a requirement is taken to have at least
+    # Sizes of the sample; the larger one is tried if no design of the smaller one has a value.
+    samples: tuple[int, ...] = (256, 4096)
+    seed: int = 256
 
 
-# An objective or requirement is scaled as if it had at least this size.
-_SMALLEST_SCALE = 1e-12
+_SCALING = _Scaling()
 # Built programs that are cached, for different numbers of steps or scales.
 _MOST_PROGRAMS = 6
-# Size and seed of the sample whose medians set the scales if the guess has no value.
-_SCALING_SAMPLE = 256
-_SCALING_SEED = 256
-# Size of the sample in which at least one design must have a value.
-_LARGE_SCALING_SAMPLE = 4096
 
 Cached = TypeVar("Cached")
 
@@ -309,7 +307,7 @@ class Program:
         return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled, self.ipopt)
 
     def linear_variables(self, p: Vector) -> list[LinearVariable]:
-        """Return the variables that follow from the others by algebra: see `plough_opt.design.population`."""
+        """Return the variables that follow from the others by algebra: see `plough_opt.design.model.population`."""
         declared = self.declared
         symbols = [own.symbol for own in declared.parameters]
         return _cached(
@@ -387,8 +385,8 @@ class Program:
             p: parameters.
             error: the reason why the guess has no value, raised if the sample has none either.
         """
-        for count in (_SCALING_SAMPLE, _LARGE_SCALING_SAMPLE):
-            points = np.random.default_rng(_SCALING_SEED).random((count, len(self.declared.variables)))
+        for count in _SCALING.samples:
+            points = np.random.default_rng(_SCALING.seed).random((count, len(self.declared.variables)))
             with np.errstate(all="ignore"):
                 f, g = self.population(points, p)
             sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)
@@ -486,7 +484,7 @@ def _cached(cache: dict[Hashable, Cached], key: Hashable, most: int, make: Calla
 
 def _power_of_four(value: float) -> float:
     """Return the power of four nearest to a value's size, so that slightly different questions are scaled alike."""
-    return float(4.0 ** round(math.log(max(abs(value), _SMALLEST_SCALE), 4.0)))
+    return float(4.0 ** round(math.log(max(abs(value), _SCALING.smallest), 4.0)))
 
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
@@ -521,8 +519,3 @@ def with_sure_steps(program: Program, p: Vector, starts: Sequence[Vector]) -> Pr
         with contextlib.suppress(DomainError):  # too many steps
             return program.with_steps(p, steps_factor(error / wanted), starts)
     return replace(program, checked=(starts[0], error))
-
-
-def steps_factor(excess: float) -> float:
-    """Return the factor on the number of steps that reduces an error by the factor ``excess``, with a margin."""
-    return min(_MOST_STEPS_FACTOR, 1.1 * excess**_STEPS_EXPONENT) if excess < math.inf else _MOST_STEPS_FACTOR

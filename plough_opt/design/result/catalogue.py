@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from plough_opt.design.result.reporting import reports
 from plough_opt.design.result.sensitivity import Solved
 from plough_opt.design.search.effort import AUTO_SECONDS, CAN_WIN, TimeLimit
 from plough_opt.design.search.landscape import (
+    LEAST_GAIN,
     MANY_VARIABLES,
     SEED,
     Evaluations,
@@ -34,33 +36,47 @@ from plough_opt.design.search.landscape import (
 from plough_opt.design.search.local import AS_FOUND, descend, least_violation, point_as_found
 from plough_opt.design.search.near import failures, from_least_violation
 
-# The first sample of the free variables.
-_SCREENING_SAMPLE = 2**16  # designs of all combinations together
-_FEWEST_EACH = 2
-_MOST_EACH = 128
 
-# Shrinking boxes around the best designs of the lowest combinations.
-_ZOOM_COMBINATIONS = 256  # in the first round; their number is halved from round to round
-_ZOOM_EACH = 16  # designs in a box
-_ZOOM_RADII = (0.25, 0.12, 0.06, 0.03, 0.015)  # half widths by round, as fractions of the range
+class _FreeSample(NamedTuple):
+    """Extent of the first sample of the free variables."""
 
-# Descents from the lowest combinations.
-_DESCENT_COMBINATIONS = 30
-_DESCENTS = 60  # of all combinations together
-_MOST_DESCENTS_EACH = 8
+    designs: int = 2**16  # of all combinations together
+    fewest_each: int = 2
+    most_each: int = 128
+    # Weight of a violation in the second ranking, which keeps slightly infeasible combinations in the competition.
+    low_penalty: float = 1.0
 
-# Evolution of the combinations that can still win.
-_EVOLVED = 8  # combinations at most
-_DESIGNS_PER_VARIABLE = 12
-_GENERATIONS = 50
-_EVOLUTION_CONVERGED = 1e-6  # The evolution ends when the merits scatter by less than this fraction.
 
-# Looks along the lines through the lowest designs of these combinations, and the relative gain that justifies another.
-_MOST_LOOKS = 4
-_GAIN = 1e-6
+class _ShrinkingBoxes(NamedTuple):
+    """Boxes around the best designs of the lowest combinations."""
 
-# Weight of a violation in the second ranking, which keeps slightly infeasible combinations in the competition.
-_LOW_PENALTY = 1.0
+    combinations: int = 256  # in the first round; their number is halved from round to round
+    designs: int = 16  # in a box
+    radii: tuple[float, ...] = (0.25, 0.12, 0.06, 0.03, 0.015)  # half widths by round, as fractions of the range
+
+
+class _Descents(NamedTuple):
+    """Number of descents from the lowest combinations."""
+
+    combinations: int = 30
+    together: int = 60  # of all combinations
+    most_each: int = 8
+
+
+class _Evolution(NamedTuple):
+    """Extent of the evolution of the combinations that can still win, and of the looks around its ends."""
+
+    combinations: int = 8  # at most
+    designs_per_variable: int = 12
+    generations: int = 50
+    converged: float = 1e-6  # It ends when the merits scatter by less than this fraction.
+    looks: int = 4  # along the lines through the lowest design
+
+
+_FREE = _FreeSample()
+_SHRINKING = _ShrinkingBoxes()
+_DESCENTS = _Descents()
+_EVOLUTION = _Evolution()
 
 
 @dataclass(frozen=True)
@@ -107,10 +123,10 @@ def promising(
     screen = _Screen(landscape, optimum, fixed, combinations, seed)
     if not screen.free:
         evaluated = landscape(screen.designs(np.arange(len(combinations)), np.empty((len(combinations), 0))))
-        best = _lowest(evaluated, _DESCENT_COMBINATIONS, kept)
+        best = _lowest(evaluated, _DESCENTS.combinations, kept)
         return _ordered([Promising(int(k), evaluated.select([k])) for k in best])
     numbers, samples = screen.sampled(kept)
-    descents = max(2, min(_MOST_DESCENTS_EACH, _DESCENTS // len(numbers)))
+    descents = max(2, min(_DESCENTS.most_each, _DESCENTS.together // len(numbers)))
     sample_by_number = dict(zip(numbers.tolist(), samples, strict=True))
     found: list[Promising] = []
     for number, own in sample_by_number.items():
@@ -122,7 +138,7 @@ def promising(
         return found
     # With several free variables a sample may miss the best basin of a combination that can win.
     highest, last = found[0].merit + CAN_WIN * abs(found[0].merit), list[Promising]()
-    for one in found[:_EVOLVED]:
+    for one in found[: _EVOLUTION.combinations]:
         if one.merit > highest or limit.passed("evolution of some combinations"):
             break
         last.append(screen.evolved(one, sample_by_number[one.number]))
@@ -154,16 +170,16 @@ class _Screen:
         count, n = len(self._combinations), len(self.free)
         numbers = np.arange(count)
         at_optimum = self._landscape(self.designs(numbers, np.tile(self._optimum[self.free], (count, 1))))
-        each = int(np.clip(_SCREENING_SAMPLE // count, _FEWEST_EACH, _MOST_EACH))
+        each = int(np.clip(_FREE.designs // count, _FREE.fewest_each, _FREE.most_each))
         points = sobol_points(n, count * each, self._rng)
         # Consecutive points of the sequence fill the space evenly, so each combination takes a block of them.
         sample = self._landscape(self.designs(np.repeat(numbers, each), points))
         best = _best_of_each(at_optimum, sample, each)
-        numbers = _lowest(best, _ZOOM_COMBINATIONS, kept)
+        numbers = _lowest(best, _SHRINKING.combinations, kept)
         best = best.select(numbers)
-        for k, radius in enumerate(_ZOOM_RADII):
+        for k, radius in enumerate(_SHRINKING.radii):
             best = self._zoomed(numbers, best, radius)
-            remaining = max(_DESCENT_COMBINATIONS, _ZOOM_COMBINATIONS >> (k + 1))
+            remaining = max(_DESCENTS.combinations, _SHRINKING.combinations >> (k + 1))
             left = _lowest(best, remaining, np.flatnonzero(np.isin(numbers, kept)).tolist())
             numbers, best = numbers[left], best.select(left)
         own = [
@@ -174,16 +190,16 @@ class _Screen:
 
     def _zoomed(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
         """Return the lowest design of each combination after sampling a box around its lowest so far."""
-        count, n = len(numbers), len(self.free)
-        offsets = self._rng.uniform(-radius, radius, (count * _ZOOM_EACH, n))
-        points = np.clip(np.repeat(best.points[:, self.free], _ZOOM_EACH, axis=0) + offsets, 0.0, 1.0)
-        return _best_of_each(best, self._landscape(self.designs(np.repeat(numbers, _ZOOM_EACH), points)), _ZOOM_EACH)
+        each = _SHRINKING.designs
+        offsets = self._rng.uniform(-radius, radius, (len(numbers) * each, len(self.free)))
+        points = np.clip(np.repeat(best.points[:, self.free], each, axis=0) + offsets, 0.0, 1.0)
+        return _best_of_each(best, self._landscape(self.designs(np.repeat(numbers, each), points)), each)
 
     def descended(self, number: int, designs: Evaluations, count: int) -> Promising:
         """Return the best end of descents from a combination's lowest designs, with the combination's values held."""
         # The designs at the optimum and the best one found; then the local minima of the sample.
         starts = [0, 1]
-        if len(designs.f) > 4 * _ZOOM_EACH:
+        if len(designs.f) > 4 * _SHRINKING.designs:
             lowest, _ = local_minima(designs.points[:, self.free], designs.merit)
             starts += [int(k) for k in lowest if k > 1]
         # A design that cannot be evaluated has no slope to follow.
@@ -197,7 +213,7 @@ class _Screen:
         Without it two of the random catalogue problems miss the basin of their best combination.
         """
         n = len(self.free)
-        size = _DESIGNS_PER_VARIABLE * n
+        size = _EVOLUTION.designs_per_variable * n
         lowest = np.argsort(designs.merit, kind="stable")[:size]
         start = np.vstack([known.start.points[:, self.free], designs.points[lowest][:, self.free]])
         if len(start) < size:
@@ -206,7 +222,8 @@ class _Screen:
         def merit(x: Vector) -> Vector:
             return self._landscape(self.designs(np.full(len(x), known.number), x)).merit
 
-        best = evolved(merit, start, _GENERATIONS, self._rng, from_best=n < MANY_VARIABLES, alike=_EVOLUTION_CONVERGED)
+        most, alike = _EVOLUTION.generations, _EVOLUTION.converged
+        best = evolved(merit, start, most, self._rng, from_best=n < MANY_VARIABLES, alike=alike)
         end = Promising(known.number, self._end(self.designs(np.array([known.number]), best[None])[0]))
         return self._along_each_variable(min(known, end, key=lambda one: one.merit))
 
@@ -215,12 +232,12 @@ class _Screen:
 
         One of the random catalogue problems needs it with some seeds.
         """
-        for _ in range(_MOST_LOOKS):
+        for _ in range(_EVOLUTION.looks):
             lines = lines_through(one.start.points[0], self.free)
             dips = dips_along(self._landscape(lines).merit)
             ends = [Promising(one.number, self._end(lines[k])) for k in dips]
             best = min([one, *ends], key=lambda end: end.merit)
-            if not best.merit < one.merit - _GAIN * abs(one.merit):
+            if not best.merit < one.merit - LEAST_GAIN * abs(one.merit):
                 break
             one = best
         return one
@@ -253,7 +270,7 @@ def _lowest(best: Evaluations, count: int, kept: list[int]) -> np.ndarray:
     if len(best.f) <= count:
         return np.arange(len(best.f))
     with np.errstate(invalid="ignore"):
-        low_penalty = np.where(np.isfinite(best.f), best.f + _LOW_PENALTY * best.violation, np.inf)
+        low_penalty = np.where(np.isfinite(best.f), best.f + _FREE.low_penalty * best.violation, np.inf)
     strict, loose = (np.argsort(value, kind="stable").tolist() for value in (best.merit, low_penalty))
     half = count // 2
     chosen = list(dict.fromkeys([*kept, *strict[:half], *loose[: count - half]]))
@@ -268,13 +285,18 @@ def _ordered(found: list[Promising]) -> list[Promising]:
 Catalogue = float | str | Sequence[float | str]
 """The values that a variable may take, or a step whose multiples it may take: numbers in SI, or texts with units."""
 
-# A catalogue value within this fraction of the range from the optimum is taken for it: the optimiser stops this far
-# from a bound.
-_SAME_VALUE = 1e-6
-# A value beyond a bound by this fraction of the range counts as the bound.
-_BEYOND_BOUND = 1e-12
-# Floating point cannot distinguish larger multiples of a step.
-_MOST_MULTIPLES = 1e15
+
+class _Values(NamedTuple):
+    """Which catalogue values are the optimum's or a bound's, and which multiples of a step exist."""
+
+    # A value within this fraction of the range from the optimum is taken for it: the optimiser stops this far from a
+    # bound.
+    same: float = 1e-6
+    beyond_bound: float = 1e-12  # A value beyond a bound by this fraction of the range counts as the bound.
+    most_multiples: float = 1e15  # Floating point cannot distinguish larger multiples of a step.
+
+
+_VALUES = _Values()
 
 
 @dataclass(frozen=True)
@@ -310,7 +332,7 @@ class Allowed:
             near = self.offered[max(0, min(int(below), self.count - 1)) :][:5]
         values = self._in_unit(near)
         nearest_value = min(values, key=lambda x: abs(x - optimum))
-        if abs(nearest_value - optimum) <= _SAME_VALUE * (v.upper - v.lower):
+        if abs(nearest_value - optimum) <= _VALUES.same * (v.upper - v.lower):
             return [nearest_value]
         lower, higher = [x for x in values if x < optimum], [x for x in values if x > optimum]
         return [*lower[-1:], *higher[:1]]
@@ -362,12 +384,12 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     values = array_of(catalogue, wrong).ravel()
     if not values.size or not np.all(np.isfinite(values)):
         raise InputError(wrong)
-    reserve = _BEYOND_BOUND * (v.upper - v.lower)
+    reserve = _VALUES.beyond_bound * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
         step = float(values[0])
         if step <= 0.0:
             raise InputError(f"the step of '{v.name}' must be above 0, not {step:g}")
-        if max(abs(v.lower), abs(v.upper)) / _MOST_MULTIPLES > step:
+        if max(abs(v.lower), abs(v.upper)) / _VALUES.most_multiples > step:
             raise InputError(f"the step {step:g} of '{v.name}' is too small for its bounds: use a larger one")
         first, last = math.ceil((v.lower - reserve) / step), math.floor((v.upper + reserve) / step)
         found = Allowed(number, v, range(first, last + 1), step)
@@ -382,18 +404,20 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     return found
 
 
-# Screening this many combinations takes some seconds; from here on, only the optimum's neighbours are tried.
-_MOST_SCREENED = 100_000
-# The same for the runs of their designs, of which a design over its tolerances has some seventy.
-_MOST_RUNS_SCREENED = 2_000_000
-# Most combinations that are optimised.
-_MOST_OPTIMISED = 20
-# Most combinations of neighbours that are accepted.
-_MOST_NEIGHBOURS = 4096
+class _Combinations(NamedTuple):
+    """Most combinations that are screened, optimised and named."""
+
+    screened: int = 100_000  # This many take some seconds; from here on, only the optimum's neighbours are tried.
+    # The same for the runs of their designs, of which a design over its tolerances has some seventy.
+    runs_screened: int = 2_000_000
+    optimised: int = 20
+    neighbours: int = 4096  # that are accepted
+    named: int = 5  # of those that fail, in an error message
+
+
+_MOST = _Combinations()
 # An optimised design may lie above its start by this fraction of the objective: the error of a search's rough runs.
 _NOT_WORSE_THAN_ROUGH = 1e-5
-# Most failing combinations that an error message names.
-_MOST_NAMED = 5
 
 
 def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogues: Mapping[str, Catalogue]) -> Rounded:
@@ -412,7 +436,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     fixed = [own.number for own in offered]
     landscape = Landscape(solved.program, p, fixed)
     count = math.prod(own.count for own in offered)
-    few = count < _MOST_SCREENED and count * solved.program.population.runs < _MOST_RUNS_SCREENED
+    few = count < _MOST.screened and count * solved.program.population.runs < _MOST.runs_screened
     every = landscape.vectorised and few
     limit = TimeLimit("auto")
     starts = _starts(landscape, solved, offered, seed, limit if every else None)
@@ -482,15 +506,15 @@ def _starts(
     """
     neighbours = [own.neighbours(float(solved.values[own.number])) for own in offered]
     near = math.prod(map(len, neighbours))
-    if limit is None and near > _MOST_NEIGHBOURS:
+    if limit is None and near > _MOST.neighbours:
         raise InputError(f"{len(neighbours)} variables have too many combinations of neighbours: round fewer at a time")
     combinations = list(itertools.product(*([own.values() for own in offered] if limit else neighbours)))
     scaled = [[own.variable.scaled(x) for own, x in zip(offered, values, strict=True)] for values in combinations]
     fixed = [own.number for own in offered]
     if limit:
-        always = set(itertools.product(*neighbours)) if near <= _MOST_OPTIMISED else set()
+        always = set(itertools.product(*neighbours)) if near <= _MOST.optimised else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
-        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept, seed, limit)[:_MOST_OPTIMISED]
+        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept, seed, limit)[: _MOST.optimised]
         return [(one.start.points[0], combinations[one.number]) for one in found]
     designs = np.repeat(solved.point.y[None], len(combinations), axis=0)
     designs[:, fixed] = scaled
@@ -524,7 +548,7 @@ def _none_feasible(program: Program, tried: Sequence[Choice], screened: int) -> 
     units = {v.name: v.unit for v in program.declared.variables}
     texts = [
         f"{values_in_words(choice.values, units)}: {failures(program, choice.conflicts) or 'not solved'}"
-        for choice in least[:_MOST_NAMED]
+        for choice in least[: _MOST.named]
     ]
     none = f"none of {screened} combinations of values meets" if screened > 1 else "the only combination does not meet"
     rest = f"; and {len(tried) - len(texts)} more that were optimised" if len(tried) > len(texts) else ""

@@ -17,7 +17,7 @@ from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import OBJECTIVE_DIGITS, Display, customary, in_words
 from plough_opt.design.confirmation import Spread
-from plough_opt.design.result.sensitivity import Sensitivity, Solved
+from plough_opt.design.result.sensitivity import NO_PERCENTAGE, Sensitivity, Solved
 from plough_opt.design.search.effort import expected_unseen
 from plough_opt.motion.run import Machine, Run, without_repetition
 from plough_opt.motion.simulation import repeat
@@ -299,8 +299,6 @@ class LocalOptimum(Saveable):
 
 # A smaller fraction of designs as made that meet all requirements is pointed out.
 _FEW_KEPT = 0.5
-# A cost below this percentage of the objective is rounding.
-_NO_COST = 1e-9
 _WITHOUT_DESIGN = "this optimum was saved without its design: evaluate expressions before saving it, or solve again"
 
 
@@ -717,7 +715,7 @@ class Rounded(Optimum):
         """Return in words the values chosen, their cost, the number of combinations tried, and infeasible ones."""
         units = {limit.name: limit.unit for limit in self.limits}
         side = "below" if self.cost < 0.0 else "above"
-        cost = "as" if abs(self.cost_percent) < _NO_COST else f"{abs(self.cost_percent):.3g} % {side}"
+        cost = "as" if abs(self.cost_percent) < NO_PERCENTAGE else f"{abs(self.cost_percent):.3g} % {side}"
         text = (
             f"{values_in_words(self.variables, units)}: objective {self.objective:.{OBJECTIVE_DIGITS}g},"
             f" {cost} that of the optimum; {self._extent_of_search()}"

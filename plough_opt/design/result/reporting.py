@@ -1,6 +1,7 @@
 """Reports on local optima: their limits, names and warnings."""
 
 from collections.abc import Collection, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,12 +18,18 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
 from plough_opt.motion.solvers.checks import remarks as remarks_on_run
 
-# Mounts whose frequencies differ by less than this fraction share one name.
-_SAME_MOUNT = 0.02
 # A limit of a law is printed if it decides or if its margin is within this part of its scale.
 _NEARLY_MET = 0.05
-# With more mounts than this only the first is named.
-_MOST_MOUNTS = 4
+
+
+class _Mounts(NamedTuple):
+    """Which mounts are named."""
+
+    same: float = 0.02  # Mounts whose frequencies differ by less than this fraction share one name.
+    most: int = 4  # Of more mounts only the first is named.
+
+
+_MOUNTS = _Mounts()
 
 
 def remarks(sampled: Vector, point: Point, best: LocalOptimum, options: Collection[str]) -> Iterator[str]:
@@ -159,6 +166,6 @@ def _mounts(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[list[tu
             continue
         ratios = [float(own[k].natural_frequency / own[k].wave_frequency) for own in scenes]
         mount = [(str(own[k].branch), ratio) for own, ratio in zip(scenes, ratios, strict=True)]
-        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_SAME_MOUNT) for other in found):
+        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_MOUNTS.same) for other in found):
             found.append(mount)
-    return found if len(found) <= _MOST_MOUNTS else found[:1]
+    return found if len(found) <= _MOUNTS.most else found[:1]

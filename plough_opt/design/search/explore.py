@@ -6,15 +6,16 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.search.effort import Effort, TimeLimit, expected_unseen
 from plough_opt.design.search.landscape import (
+    BASINS,
+    LEAST_GAIN,
     MANY_VARIABLES,
-    NEEDLE,
-    SAME,
     SEED,
     Evaluations,
     Landscape,
@@ -33,33 +34,39 @@ from plough_opt.design.search.local import Shortfall, descend, least_violation
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it done."""
 
-# A dip farther than this part of a line from the design on it counts as another one.
-_ANOTHER_DIP = 0.01
 
-# Boxes that are sampled around the best designs. Lengths are fractions of the range.
-_ZOOM_ROUNDS = 4
-_VIOLATION_ROUNDS = 16  # as long as it falls; the last per mille may take many
-_ZOOM_CENTRES = 2  # designs that get a box
-_ZOOM_SAMPLE = 256
-_ZOOM_RADIUS = 0.06  # half width of a box
-_ZOOM_RADII_IF_RARE = (0.06, 0.015, 0.004)  # If feasible designs are rare, their region may have any size.
-_ZOOM_DESCENTS = 4  # from each box
-_ZOOM_GAIN = 1e-6  # relative gain that justifies another round
-_ZOOM_ENDS = 64  # lowest ends of descents whose differences are steps to other ripples
-_ZOOM_TRANSLATIONS = 3  # rounds of such steps: a better ripple may lie several away
-_ZOOM_MOVES = 12  # descents from designs after such a step
-_ZOOM_DIGITS = 4  # of such steps: ends of the same descent differ in later digits
+class _Round(NamedTuple):
+    """Bounds of the parts of a round that the effort does not set."""
 
-# Designs of a sample that are integrated one by one between two looks at the clock: half a minute if they take long.
-_ONE_BY_ONE_BLOCK = 32
-# Where feasible designs are rare, descents also start from this many infeasible ones.
-_INFEASIBLE_STARTS = 4
-# An island has converged when the merits of its designs scatter by less than this fraction.
-_ISLAND_CONVERGED = 1e-7
-# At most this many points of the uniform part of a sample are followed to basins that are known already.
-_MOST_FOLLOWED = 256
-# With fewer expected unseen basins than this, the evolution, which might find one, is skipped.
-_FEW_UNSEEN = 0.1
+    # Designs that are integrated one by one between two looks at the clock: half a minute if they take long.
+    block: int = 32
+    infeasible_starts: int = 4  # of descents where feasible designs are rare
+    converged: float = 1e-7  # An island has converged when its merits scatter by less than this fraction.
+    most_followed: int = 256  # points of the uniform part of a sample, to basins that may be known already
+    few_unseen: float = 0.1  # With fewer expected unseen basins, the evolution, which might find one, is skipped.
+
+
+_ROUND = _Round()
+
+
+class _CloserLook(NamedTuple):
+    """Extent of the search in boxes around the best designs. Lengths are fractions of the range."""
+
+    rounds: int = 4
+    violation_rounds: int = 16  # as long as it falls; the last per mille may take many
+    centres: int = 2  # designs that get a box
+    sample: int = 256
+    radii: tuple[float, ...] = (0.06,)  # half width of a box
+    radii_if_rare: tuple[float, ...] = (0.06, 0.015, 0.004)  # The region of rare feasible designs may have any size.
+    descents: int = 4  # from each box
+    another_dip: float = 0.01  # A dip farther than this part of a line from the design on it counts as another one.
+    ends: int = 64  # lowest ends of descents whose differences are steps to other ripples
+    translations: int = 3  # rounds of such steps: a better ripple may lie several away
+    moves: int = 12  # descents from designs after such a step
+    digits: int = 4  # of such steps: ends of the same descent differ in later digits
+
+
+_LOOK = _CloserLook()
 
 
 def silent(_stage: str, _fraction: float) -> None:
@@ -163,7 +170,7 @@ class Explorer:
 
     def _sampled(self, points: Vector) -> Evaluations:
         """Return the designs of a sample; those that are integrated one by one only as long as there is time."""
-        block = len(points) if self.landscape.vectorised else _ONE_BY_ONE_BLOCK
+        block = len(points) if self.landscape.vectorised else _ROUND.block
         parts = []
         for begin in range(0, len(points), block):
             if begin and self.limit.passed(f"part of the sample of {len(points)} designs"):
@@ -211,7 +218,9 @@ class Explorer:
         self._dense = effort.dense and not self._feasible_rare
         lowest, downhill = local_minima(points, self._merit(sampled))
         if self._feasible_rare:
-            lowest = np.r_[lowest[sampled.feasible[lowest]], lowest[~sampled.feasible[lowest]][:_INFEASIBLE_STARTS]]
+            lowest = np.r_[
+                lowest[sampled.feasible[lowest]], lowest[~sampled.feasible[lowest]][: _ROUND.infeasible_starts]
+            ]
         lowest = lowest[: effort.descents]
         starts = [*sampled.points[lowest], *further]
         ends: list[int] = []
@@ -226,7 +235,7 @@ class Explorer:
             # The basins that these reach may make the evolution unnecessary.
             self._follow(sampled, random_starts, known)
         unseen = expected_unseen(*self._follow_counts(self._basins()[1])) if self._dense and self._followed else None
-        if unseen is None or unseen > _FEW_UNSEEN:
+        if unseen is None or unseen > _ROUND.few_unseen:
             for island in range(effort.islands if len(self.variables) > 1 else 0):
                 if self.stop() or self.limit.passed("evolution"):
                     break
@@ -262,7 +271,7 @@ class Explorer:
         evaluated = self.landscape(lines)
         promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated))
         for k in dips:
-            if promising[k] and np.max(np.abs(lines[k] - centre)) > _ANOTHER_DIP * min(2.0 * radius, 1.0):
+            if promising[k] and np.max(np.abs(lines[k] - centre)) > _LOOK.another_dip * min(2.0 * radius, 1.0):
                 self.progress("descending from dips along each variable", 0.0)
                 self._end_from(lines[k])
 
@@ -279,31 +288,31 @@ class Explorer:
         self._descend_from_dips(minima.points[0])
         if len(self.variables) < 2:
             return
-        for _ in range(_VIOLATION_ROUNDS if isinstance(self.landscape, Shortfall) else _ZOOM_ROUNDS):
+        for _ in range(_LOOK.violation_rounds if isinstance(self.landscape, Shortfall) else _LOOK.rounds):
             if self.stop() or self.limit.passed("a closer look at the best designs"):
                 return
-            centres, before = self._basins()[0].points[:_ZOOM_CENTRES], len(self._ends)
+            centres, before = self._basins()[0].points[: _LOOK.centres], len(self._ends)
             rare = self._feasible_rare or isinstance(self.landscape, Shortfall)
-            boxes = list(itertools.product(centres, _ZOOM_RADII_IF_RARE if rare else (_ZOOM_RADIUS,)))
+            boxes = list(itertools.product(centres, _LOOK.radii_if_rare if rare else _LOOK.radii))
             for number, (centre, radius) in enumerate(boxes):
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
                 self._descend_from_dips(centre, radius)
-            for _ in range(_ZOOM_TRANSLATIONS):
+            for _ in range(_LOOK.translations):
                 self._descend_from_translations()
             merits = [float(self._merit(end)[0]) for end in self._ends]
             lowest = min(merits[:before], default=np.inf)
-            if not min(merits[before:], default=np.inf) < lowest - _ZOOM_GAIN * abs(lowest):
+            if not min(merits[before:], default=np.inf) < lowest - LEAST_GAIN * abs(lowest):
                 return
 
     def _descend_inside(self, centre: Vector, radius: float, rng: np.random.Generator) -> None:
         """Descend from the lowest sampled designs of a box around a design."""
-        points, _ = sample(len(self.variables), _ZOOM_SAMPLE, np.full(len(self.variables), 0.5), rng)
+        points, _ = sample(len(self.variables), _LOOK.sample, np.full(len(self.variables), 0.5), rng)
         designs = np.repeat(centre[None], len(points), axis=0)
         designs[:, self.variables] = np.clip(centre[self.variables] + radius * (2.0 * points - 1.0), 0.0, 1.0)
         evaluated = self.landscape(designs)
         promising = self._worth_descending(evaluated)
-        for k in local_minima(points, self._merit(evaluated))[0][:_ZOOM_DESCENTS]:
+        for k in local_minima(points, self._merit(evaluated))[0][: _LOOK.descents]:
             if promising[k]:
                 self._end_from(designs[k])
 
@@ -314,14 +323,14 @@ class Explorer:
         """
         ends = concatenated(self._ends)
         merit = self._merit(ends)
-        order = apart(ends.points, np.argsort(merit, kind="stable"), SAME, _ZOOM_ENDS)
+        order = apart(ends.points, np.argsort(merit, kind="stable"), BASINS.same, _LOOK.ends)
         lowest, highest = ends.points[order], merit[order[-1]]
         moved = np.clip(lowest[0] + (lowest[:, None] - lowest).reshape(-1, lowest.shape[1]), 0.0, 1.0)
-        moved = moved[np.unique(moved.round(_ZOOM_DIGITS), axis=0, return_index=True)[1]]
-        near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < SAME
+        moved = moved[np.unique(moved.round(_LOOK.digits), axis=0, return_index=True)[1]]
+        near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < BASINS.same
         tried = self.landscape(moved[~near])
         promising, merit = self._worth_descending(tried), self._merit(tried)
-        for k in np.argsort(merit, kind="stable")[:_ZOOM_MOVES]:
+        for k in np.argsort(merit, kind="stable")[: _LOOK.moves]:
             if promising[k] and merit[k] <= highest:
                 self._end_from(tried.points[k])
 
@@ -334,14 +343,14 @@ class Explorer:
             known: ends of descents by the number of their start; new ones are added.
         """
         left = self.effort.followed
-        for number, start in enumerate(starts[:_MOST_FOLLOWED]):
+        for number, start in enumerate(starts[: _ROUND.most_followed]):
             if start not in known:
                 if left == 0 or not np.isfinite(sampled.merit[start]):
                     return
                 if self.limit.passed("following designs drawn at random"):
                     return
                 left -= 1
-                self.progress("following designs drawn at random", number / min(len(starts), _MOST_FOLLOWED))
+                self.progress("following designs drawn at random", number / min(len(starts), _ROUND.most_followed))
                 known[start] = self._end_from(sampled.points[start])
             self._followed.append(known[start])
 
@@ -389,7 +398,7 @@ class Explorer:
             rng,
             # Every second island mutates random designs instead of the best one.
             from_best=island % 2 == 0 and points.shape[1] < MANY_VARIABLES,
-            alike=_ISLAND_CONVERGED,
+            alike=_ROUND.converged,
             stop=lambda: self.limit.passed("further generations of the evolution"),
         )
         design: Vector = self._full_designs(best[None])[0]
@@ -414,7 +423,7 @@ class Explorer:
             if same is None:
                 minima.append(k)
                 lowest.append(k)
-            elif merit[k] < merit[lowest[same]] and ranks[k] - ranks[minima[same]] <= NEEDLE * abs(ranks[k]):
+            elif merit[k] < merit[lowest[same]] and ranks[k] - ranks[minima[same]] <= BASINS.needle * abs(ranks[k]):
                 # The medians of a basin's ripples differ by chance, but for a needle's.
                 lowest[same] = k
         return ends.select(lowest), basin
@@ -423,7 +432,7 @@ class Explorer:
         """Return the number of the first minimum that no barrier separates from end k, or None."""
         if not minima:
             return None
-        near = np.flatnonzero(np.max(np.abs(ends.points[minima] - ends.points[k]), axis=1) < SAME)
+        near = np.flatnonzero(np.max(np.abs(ends.points[minima] - ends.points[k]), axis=1) < BASINS.same)
         if len(near):
             return int(near[0])
         if not self.landscape.vectorised:

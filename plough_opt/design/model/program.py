@@ -37,23 +37,15 @@ class BuiltProgram:
     """A program with certain numbers of integration steps; its solvers are built when first needed.
 
     Attributes:
+        program: the scaled program.
         steps: for each run, the number of steps, or None for the method it was written with.
-        rough_steps: the same for the rough program.
         write: builds the program from numbers of steps.
-        owner: for each row of the requirements, the number of its requirement.
-        limits: scaled lower and upper limits of the rows.
-        compiled: whether to translate the program into machine code.
-        ipopt: options of IPOPT that the user gave, with the prefix of CasADi.
         errors: cache of the errors of derivatives, by scaled design and parameters.
     """
 
+    program: Program
     steps: list[int | None]
-    rough_steps: list[int | None]
     write: Callable[[list[int | None]], Nlp]
-    owner: Sequence[int]
-    limits: tuple[Vector, Vector]
-    compiled: bool
-    ipopt: dict[str, Any]
     errors: dict[Hashable, float] = field(default_factory=dict)
 
     @cached_property
@@ -63,23 +55,26 @@ class BuiltProgram:
 
     @cached_property
     def nlp(self) -> Nlp:
-        """The program, in machine code if ``compiled`` and if there is a compiler."""
-        return (as_machine_code(self.plain) if self.compiled else None) or self.plain
+        """The program, in machine code if that is wanted and if there is a compiler."""
+        return (as_machine_code(self.plain) if self.program.compiled else None) or self.plain
 
     @cached_property
     def rough(self) -> Nlp:
         """The program with two fifths of the steps, enough to tell the sign of the Lagrangian's curvatures."""
-        return self.write(self.rough_steps)
+        return self.write(rough_steps(self.program.exact, self.steps))
 
     @cached_property
     def solver(self) -> Solver:
         """IPOPT on the program."""
-        return Solver(self.nlp, *self.limits, self.ipopt)
+        return self._solver_of(self.nlp)
 
     @cached_property
     def relaxed(self) -> Solver:
         """IPOPT on the sum of the requirements' violations."""
-        return Solver(relaxed(self.nlp, self.owner), *self.limits, self.ipopt)
+        return self._solver_of(relaxed(self.nlp, self.program.owner))
+
+    def _solver_of(self, nlp: Nlp) -> Solver:
+        return Solver(nlp, self.program.low, self.program.high, self.program.ipopt)
 
 
 class _Scaling(NamedTuple):
@@ -302,9 +297,9 @@ class Program:
         key = (self.objective_scale, *self.scales)
         y, p = self._y, self._p
         parts = _cached(self._caches.parts, key, 1, lambda: split(self.scaled(y, p), [y, p]))
-        write = partial(build_nlp, parts, y, p, whole=self.compiled)
-        limits = self.low, self.high
-        return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled, self.ipopt)
+        # The scaled program alone, lest each built one keeps the one before.
+        scaled = replace(self, checked=None, _built=None)
+        return BuiltProgram(scaled, steps, partial(build_nlp, parts, y, p, whole=self.compiled))
 
     def linear_variables(self, p: Vector) -> list[LinearVariable]:
         """Return the variables that follow from the others by algebra: see `plough_opt.design.model.population`."""
@@ -489,17 +484,11 @@ def _power_of_four(value: float) -> float:
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
     """Return the largest error of the derivatives of a program's runs at a scaled design."""
-    known, at = program.built.errors, (y.tobytes(), p.tobytes())
-    if at not in known:
-        known.clear()
-        known[at] = max(
-            (
-                derivative_error(group.solver, group.first, group.varying, group.inputs(y, p).full())
-                for group in program.built.plain.groups
-            ),
-            default=0.0,
-        )
-    return known[at]
+    errors = (
+        derivative_error(group.solver, group.first, group.varying, group.inputs(y, p).full())
+        for group in program.built.plain.groups
+    )
+    return _cached(program.built.errors, (y.tobytes(), p.tobytes()), 1, lambda: max(errors, default=0.0))
 
 
 def with_sure_steps(program: Program, p: Vector, starts: Sequence[Vector]) -> Program:

@@ -110,9 +110,10 @@ class Explorer:
         seed: of the samples.
         stop: returns True to end the search after its first descents.
         limit: of the processor time.
+        shortfall: of the landscape, to search for the least violation instead of the best design.
     """
 
-    landscape: Landscape | Shortfall
+    landscape: Landscape
     start: Vector
     variables: Sequence[int]
     criterion: Callable[[Vector], Vector]
@@ -121,26 +122,27 @@ class Explorer:
     seed: int = 0
     stop: Callable[[], bool] = lambda: False
     limit: TimeLimit = field(default_factory=partial(TimeLimit, "near"))
+    shortfall: Shortfall | None = None
     # Whether feasible designs are so rare that any of them ranks before all others.
-    _feasible_rare: bool = False
+    _feasible_rare: bool = field(init=False, default=False)
     # Descents start only from designs with at most this violation.
-    _most_violation: float = np.inf
-    _least_violating: Evaluations | None = None
-    _dense: bool = False
-    _samples: list[Evaluations] = field(default_factory=list)
+    _most_violation: float = field(init=False, default=np.inf)
+    _least_violating: Evaluations | None = field(init=False, default=None)
+    _dense: bool = field(init=False, default=False)
+    _samples: list[Evaluations] = field(init=False, default_factory=list)
     # Ends of descents, the criterion at each, and for pairs of them whether a barrier separates them.
-    _ends: list[Evaluations] = field(default_factory=list)
-    _ranks: list[float] = field(default_factory=list)
-    _separated: dict[tuple[int, int], bool] = field(default_factory=dict)
+    _ends: list[Evaluations] = field(init=False, default_factory=list)
+    _ranks: list[float] = field(init=False, default_factory=list)
+    _separated: dict[tuple[int, int], bool] = field(init=False, default_factory=dict)
     # For each followed point the number of the end it led to.
-    _followed: list[int] = field(default_factory=list)
+    _followed: list[int] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         self.variables = list(self.variables)
+        self._evaluate: Callable[[Vector], Evaluations] = self.shortfall or self.landscape
 
     def explore(self) -> Explored:
         """Return the result of as many rounds as the effort demands."""
-        assert isinstance(self.landscape, Landscape), "a search for the least violation is part of a round"
         began, rounds = time.perf_counter(), 0
         while rounds == 0 or self.effort.more(rounds, self.landscape.designs_tried, began):
             self._round(rounds)
@@ -159,8 +161,8 @@ class Explorer:
         if not np.any(np.isfinite(sampled.merit)):
             return
         rare = np.count_nonzero(sampled.feasible) < self.effort.population
-        if rare and isinstance(self.landscape, Landscape) and self.landscape.vectorised:
-            feasible = self._rare_feasible_designs(self.landscape, points, sampled, rng)
+        if rare and self.landscape.vectorised:
+            feasible = self._rare_feasible_designs(points, sampled, rng)
             if feasible is None:
                 return
             points = np.vstack([points, feasible.points[:, self.variables]])
@@ -179,14 +181,17 @@ class Explorer:
         return concatenated(parts)
 
     def _rare_feasible_designs(
-        self, landscape: Landscape, points: Vector, sampled: Evaluations, rng: np.random.Generator
+        self, points: Vector, sampled: Evaluations, rng: np.random.Generator
     ) -> Evaluations | None:
         """Return feasible designs from a search for the least violation, or None if it finds none."""
-        shortfall = Shortfall(landscape)
-        effort, criterion = replace(self.effort, followed=0), lambda y: shortfall(y).merit
-        search = Explorer(shortfall, self.start, self.variables, criterion, effort, self.progress, self.seed)
-        search.limit = self.limit
-        search.stop = lambda: shortfall.feasible_seen >= self.effort.population
+        shortfall = Shortfall(self.landscape)
+        search = replace(
+            self,
+            criterion=lambda y: shortfall(y).merit,
+            effort=replace(self.effort, dense=False),  # Every descent may come across feasible designs.
+            stop=lambda: shortfall.feasible_seen >= self.effort.population,
+            shortfall=shortfall,
+        )
         with suppress(_OutOfTime):
             search._search(points, sampled.without_objective(), rng, further=[self.start])
         self._feasible_rare, self._most_violation = True, float(sampled.violation.min())
@@ -256,11 +261,8 @@ class Explorer:
     def _worth_descending(self, designs: Evaluations) -> np.ndarray:
         """Return whether a descent from each design is worth its time."""
         promising: np.ndarray = (designs.violation <= self._most_violation) & np.isfinite(designs.f)
-        if not self._dense or isinstance(self.landscape, Shortfall):
-            return promising
         # A dense sample has led to the ends that infeasible designs lead to.
-        promising &= designs.feasible
-        return promising
+        return promising & designs.feasible if self._dense else promising
 
     def _descend_from_dips(self, centre: Vector, radius: float = 1.0) -> None:
         """Descend from dips along each variable through a design: a sample may be too sparse to show them.
@@ -268,7 +270,7 @@ class Explorer:
         A share on a mount under a strength wave may have three optima; nothing else finds the third.
         """
         lines = lines_through(centre, self.variables, radius)
-        evaluated = self.landscape(lines)
+        evaluated = self._evaluate(lines)
         promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated))
         for k in dips:
             if promising[k] and np.max(np.abs(lines[k] - centre)) > _LOOK.another_dip * min(2.0 * radius, 1.0):
@@ -288,12 +290,12 @@ class Explorer:
         self._descend_from_dips(minima.points[0])
         if len(self.variables) < 2:
             return
-        for _ in range(_LOOK.violation_rounds if isinstance(self.landscape, Shortfall) else _LOOK.rounds):
+        for _ in range(_LOOK.violation_rounds if self.shortfall else _LOOK.rounds):
             if self.stop() or self.limit.passed("a closer look at the best designs"):
                 return
             centres, before = self._basins()[0].points[: _LOOK.centres], len(self._ends)
-            rare = self._feasible_rare or isinstance(self.landscape, Shortfall)
-            boxes = list(itertools.product(centres, _LOOK.radii_if_rare if rare else _LOOK.radii))
+            radii = _LOOK.radii_if_rare if self.shortfall or self._feasible_rare else _LOOK.radii
+            boxes = list(itertools.product(centres, radii))
             for number, (centre, radius) in enumerate(boxes):
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
@@ -310,7 +312,7 @@ class Explorer:
         points, _ = sample(len(self.variables), _LOOK.sample, np.full(len(self.variables), 0.5), rng)
         designs = np.repeat(centre[None], len(points), axis=0)
         designs[:, self.variables] = np.clip(centre[self.variables] + radius * (2.0 * points - 1.0), 0.0, 1.0)
-        evaluated = self.landscape(designs)
+        evaluated = self._evaluate(designs)
         promising = self._worth_descending(evaluated)
         for k in local_minima(points, self._merit(evaluated))[0][: _LOOK.descents]:
             if promising[k]:
@@ -328,7 +330,7 @@ class Explorer:
         moved = np.clip(lowest[0] + (lowest[:, None] - lowest).reshape(-1, lowest.shape[1]), 0.0, 1.0)
         moved = moved[np.unique(moved.round(_LOOK.digits), axis=0, return_index=True)[1]]
         near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < BASINS.same
-        tried = self.landscape(moved[~near])
+        tried = self._evaluate(moved[~near])
         promising, merit = self._worth_descending(tried), self._merit(tried)
         for k in np.argsort(merit, kind="stable")[: _LOOK.moves]:
             if promising[k] and merit[k] <= highest:
@@ -359,7 +361,7 @@ class Explorer:
         if self._ends and self.limit.passed("further descents"):
             raise _OutOfTime
         landscape = self.landscape
-        if self._ends and self._dense and isinstance(landscape, Landscape) and landscape.vectorised:
+        if self._ends and self._dense and landscape.vectorised:
             known = end_straight_downhill(landscape, start, concatenated(self._ends))
             if known is not None:
                 return known
@@ -369,8 +371,8 @@ class Explorer:
     def _descended(self, start: Vector) -> Evaluations:
         """Return the end of a descent. If runs are integrated one by one it is the start: the optimiser descends."""
         landscape = self.landscape
-        if isinstance(landscape, Shortfall):
-            return landscape.descend(start)
+        if self.shortfall:
+            return self.shortfall.descend(start)
         if landscape.vectorised and self._feasible_rare and not landscape(start[None]).feasible[0]:
             # A descent of the merit would pass by the few feasible designs.
             feasible = least_violation(landscape, start)
@@ -391,7 +393,7 @@ class Explorer:
         self.progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
         order = np.argsort(self._merit(sampled), kind="stable")
         best = evolved(
-            lambda x: self._merit(self.landscape(self._full_designs(x))),
+            lambda x: self._merit(self._evaluate(self._full_designs(x))),
             # Each island takes its own part of the best designs.
             points[order[island :: effort.islands][: effort.population]],
             effort.generations,
@@ -438,7 +440,7 @@ class Explorer:
         if not self.landscape.vectorised:
             return None
         if new := [j for j in minima if (k, j) not in self._separated]:
-            separated = barriers(self.landscape, ends.select([k]), ends.select(new)).tolist()
+            separated = barriers(self._evaluate, ends.select([k]), ends.select(new)).tolist()
             for j, barrier in zip(new, separated, strict=True):
                 self._separated[k, j] = self._separated[j, k] = barrier
         return next((number for number, j in enumerate(minima) if not self._separated[k, j]), None)

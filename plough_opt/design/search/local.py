@@ -117,7 +117,6 @@ class Shortfall:
     """A landscape's violations without its objective; it collects the feasible designs that a search comes across.
 
     Attributes:
-        vectorised: whether all runs of many designs are integrated together.
         feasible_seen: number of feasible designs evaluated so far, repetitions included.
     """
 
@@ -125,7 +124,7 @@ class Shortfall:
         """Take the landscape."""
         self._landscape = landscape
         self._feasible: list[Evaluations] = []
-        self.vectorised, self.feasible_seen = landscape.vectorised, 0
+        self.feasible_seen = 0
 
     def __call__(self, points: Vector) -> Evaluations:
         """Evaluate the violations of designs, a row each."""

@@ -112,8 +112,10 @@ class ToleranceBoxSolver:
         if self._over == "mean":
             return solve_program(self._program(request.p, None, self._every), request)
         request.progress("sampling tolerances", 0.0)
-        bounds = bounds_on_worst(self._bare, request.p)
-        landscape = self._landscape(request.p)
+        bare = self._bare.at(request.p, any_guess=True)
+        # All designs in a box are made as they are: no variable is solved for again.
+        landscape = Landscape(bare, request.p, range(len(bare.declared.variables)))
+        bounds = bounds_on_worst(landscape)
         chosen, raised, asked = self._first_positions(landscape), False, request
         while True:
             try:
@@ -153,16 +155,12 @@ class ToleranceBoxSolver:
                     return self._with_whole_box(best, replace(request, known=known, progress=silent), bounds)
                 chosen, request = tuple(sorted({*chosen, *missing})), replace(request, known=known)
 
-    def _landscape(self, p: Vector) -> Landscape | None:
-        """Return the landscape of the bare design; None if its runs are integrated one by one."""
-        program = self._bare.at(p, any_guess=True)
-        # All designs in a box are made as they are: no variable is solved for again.
-        landscape = Landscape(program, p, range(len(program.declared.variables)))
-        return landscape if landscape.vectorised else None
+    def _first_positions(self, landscape: Landscape) -> tuple[int, ...]:
+        """Return the positions that are worst for the objective or a requirement in the boxes of promising designs.
 
-    def _first_positions(self, landscape: Landscape | None) -> tuple[int, ...]:
-        """Return the positions that are worst for the objective or a requirement in the boxes of promising designs."""
-        if landscape is None:
+        Those are all of them if the runs are integrated one by one.
+        """
+        if not landscape.vectorised:
             return self._every
         sampled = evaluated_sample(landscape, _CUTS.sample)
         best = np.argsort(sampled.merit, kind="stable")[: _CUTS.promising]
@@ -171,7 +169,7 @@ class ToleranceBoxSolver:
         return tuple(sorted({*np.argmax(f, axis=1).tolist(), *np.argmax(violation, axis=1).ravel().tolist()}))
 
     def _missing(
-        self, landscape: Landscape | None, best: Optimum, bounds: tuple[float, float], chosen: tuple[int, ...]
+        self, landscape: Landscape, best: Optimum, bounds: tuple[float, float], chosen: tuple[int, ...]
     ) -> tuple[Known, set[int]]:
         """Return the optima of a program as starts of the next one, and positions that turn out worse around them.
 
@@ -181,9 +179,7 @@ class ToleranceBoxSolver:
             bounds: of the worst objective.
             chosen: the positions.
         """
-        # Otherwise all positions are in the first program, and only a loaded optimum has no record.
-        assert landscape is not None
-        assert best.search is not None
+        assert best.search is not None  # only a loaded optimum has none
         variables = landscape.program.declared.variables
         points = np.array([[v.scaled(one.variables[v.name]) for v in variables] for one in best.local_optima])
         f, violation = self._box.rows(landscape, points)
@@ -291,19 +287,16 @@ def designs_per_box(declared: Declarations) -> int:
     return max(BOX.fewest, min(BOX.designs, 1 << int(math.log2(max(1, BOX.most_runs // runs)))))
 
 
-def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
+def bounds_on_worst(made: Landscape) -> tuple[float, float]:
     """Return bounds on the lowest possible worst objective over a tolerance box, estimated from a sample.
 
     Args:
-        program: of the bare design.
-        p: parameters.
+        made: landscape of the bare design, in which no variable is solved for.
     """
-    landscape = Landscape(program.at(p, any_guess=True), p)
+    landscape = Landscape(made.program, made.p)
     sampled = evaluated_sample(landscape, _CUTS.sample if landscape.vectorised else BOX.fewest)
     valid = np.flatnonzero(np.isfinite(sampled.f))
-    # All designs in a box are made as they are: no variable is solved for again.
-    made = Landscape(landscape.program, p, range(landscape.dimensions))
-    inside = made(boxes(program.declared.variables, sampled.points[valid]))
+    inside = made(boxes(made.program.declared.variables, sampled.points[valid]))
     worst, violation = (part.reshape(-1, BOX.designs).max(axis=1) for part in (inside.f, inside.violation))
     feasible = np.isfinite(worst) & (violation <= VIOLATION.allowed)
     if np.any(feasible):

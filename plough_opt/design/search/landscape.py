@@ -233,11 +233,14 @@ def _only_fall(landscape: Landscape, start: Vector, ends: Vector, fractions: Vec
     # Equal numbers of steps along a line: a change of the number would look like a rise.
     merit = landscape(lines.reshape(-1, len(start)), together=len(fractions)).merit.reshape(-1, len(fractions))
     with np.errstate(invalid="ignore"):
-        rise = np.max(merit[:, 1:] - np.minimum.accumulate(merit, axis=1)[:, :-1], axis=1)
-        falls: list[bool] = (
-            np.isfinite(merit).all(axis=1) & (rise <= _LINES.path_rise * np.abs(merit[:, -1]))
-        ).tolist()
+        small = largest_rise(merit) <= _LINES.path_rise * np.abs(merit[:, -1])
+    falls: list[bool] = (np.isfinite(merit).all(axis=1) & small).tolist()
     return falls
+
+
+def largest_rise(merit: Vector) -> Vector:
+    """Return how far the merit rises above its lowest value before, at most, along each line (the last axis)."""
+    return np.asarray(np.max(merit - np.minimum.accumulate(merit, axis=-1), axis=-1))
 
 
 # For dimensions 2 and above: degree, inner coefficients and first direction numbers of the primitive polynomials. From

@@ -27,13 +27,7 @@ from plough_opt.design.model.optimality import (
 )
 from plough_opt.design.model.program import Program
 from plough_opt.design.search.effort import TimeLimit
-from plough_opt.design.search.landscape import (
-    FINER,
-    VIOLATION,
-    Evaluations,
-    Landscape,
-    concatenated,
-)
+from plough_opt.design.search.landscape import FINER, VIOLATION, Evaluations, Landscape, concatenated
 
 Box = tuple[Vector, Vector]
 """Lower and upper bounds of scaled variables."""

@@ -21,6 +21,7 @@ from plough_opt.design.search.landscape import (
     apart,
     concatenated,
     evaluated_sample,
+    largest_rise,
 )
 from plough_opt.design.search.local import descend, least_violation, nearest_feasible, point_as_found, polished
 
@@ -142,8 +143,7 @@ def _is_downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
     count = max(_BOXES.fewest_positions, int(_BOXES.positions_across * np.max(np.abs(end - start))))
     fractions = np.linspace(0.0, 1.0, count)[:, None]
     merit = landscape(start + fractions * (end - start)).merit
-    rise = np.max(merit - np.minimum.accumulate(merit))
-    return bool(rise <= BASINS.barrier * abs(merit[0]))
+    return bool(largest_rise(merit) <= BASINS.barrier * abs(merit[0]))
 
 
 class _LeastViolation(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -202,9 +202,9 @@ class Requirement:
         ]
         return " and ".join(parts)
 
-    def margin(self, values: NDArray[np.float64]) -> float:
-        """Return the distance of the worst value from its limit, positive inside the limits."""
-        return float(min(np.min(values - self.low), np.min(self.high - values)))
+    def margins(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the distance of each value from its limit, positive inside the limits."""
+        return np.minimum(values - self.low, self.high - values)
 
 
 @dataclass(frozen=True)
@@ -219,6 +219,14 @@ class Declarations:
     def symbols(self) -> list[ca.MX]:
         """Return the symbols of the variables, followed by those of the parameters."""
         return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
+
+    def expressions(self) -> list[ca.MX]:
+        """Return objective and requirements."""
+        return [self.objective, *(r.expression for r in self.requirements)]
+
+    def named(self, numbers: Iterable[float]) -> dict[str, float]:
+        """Return name -> number from a number for each variable; those added by the program are left out."""
+        return {v.name: float(x) for v, x in zip(self.variables, numbers, strict=True) if not v.auxiliary}
 
     def parameter_values(self, changed: Mapping[str, Any]) -> NDArray[np.float64]:
         """Return the values of all parameters.

@@ -214,10 +214,8 @@ class ToleranceBoxSolver:
                 over += f", as do {len(self._box.unit) - self._box.count} corners of the box"
             objectives = sum(k < self._box.count for k in chosen)
             declared = over_box(self._own, self._box.unit[list(chosen)], objectives, bounds)
-            self._built = (
-                key,
-                Program.of(declared, compiled=self._bare.compiled, bare=self._bare, over=over, ipopt=self._bare.ipopt),
-            )
+            bare = self._bare
+            self._built = key, Program.of(declared, compiled=bare.compiled, bare=bare, over=over, ipopt=bare.ipopt)
         return self._built[1]
 
 
@@ -258,13 +256,12 @@ def over_box(declared: Declarations, positions: Vector, count: int, bounds: tupl
         bounds: of their worst objective, which is minimised; None to minimise their mean.
     """
     symbols = [v.symbol for v in declared.variables]
-    expressions = [declared.objective, *(r.expression for r in declared.requirements)]
     found = []
     for position in positions:
         within: list[Column] = [
             v.within_tolerance(v.symbol, float(part)) for v, part in zip(declared.variables, position, strict=True)
         ]
-        found.append(ca.graph_substitute(expressions, symbols, within))
+        found.append(ca.graph_substitute(declared.expressions(), symbols, within))
     objectives = ca.vertcat(*(objective for objective, *_ in found[:count]))
     columns = [ca.vertcat(*column) for column in [*zip(*found, strict=True)][1:]]
     everywhere = [replace(r, expression=column) for r, column in zip(declared.requirements, columns, strict=True)]
@@ -280,7 +277,7 @@ def over_box(declared: Declarations, positions: Vector, count: int, bounds: tupl
 
 def designs_per_box(declared: Declarations) -> int:
     """Return the number of designs sampled in a box: fewer if a design has several runs, or runs that take long."""
-    parts = split([declared.objective, *(r.expression for r in declared.requirements)], declared.symbols())
+    parts = split(declared.expressions(), declared.symbols())
     runs = max(1, len(parts.runs))
     if not all(run.integration.structure.stepped for run in parts.runs):
         return BOX.fewest

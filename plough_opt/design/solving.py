@@ -258,4 +258,4 @@ def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, fl
     # At a bound only one sense of the direction stays inside.
     ends = [np.clip(point.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
     change = program.values(max(ends, key=lambda end: float(np.sum(np.abs(end - point.y))))) - program.values(point.y)
-    return {v.name: float(x) for v, x in zip(program.declared.variables, change, strict=True) if not v.auxiliary}
+    return program.declared.named(change)

@@ -178,11 +178,11 @@ class Program:
         """
         _refuse_undeclared(declared)
         own = declared.requirements
-        exact = TightEvaluation(_expressions(declared), declared.symbols())
+        exact = TightEvaluation(declared.expressions(), declared.symbols())
         if exact.limits:
             implied = (Requirement(*limit, inside=INSIDE) for limit in exact.limits)
             declared = replace(declared, requirements=(*own, *implied))
-            exact = TightEvaluation(_expressions(declared), declared.symbols(), shared=exact)
+            exact = TightEvaluation(declared.expressions(), declared.symbols(), shared=exact)
         if any(run.integration.accuracy.method == "idas" for run in exact.runs):
             raise InputError(
                 "method 'idas' has no second derivatives, which a design needs: use 'auto', 'erk' or 'cvodes'"
@@ -283,11 +283,8 @@ class Program:
         """
         if self._scaled_at != p.tobytes():
             return self.at(p).with_steps(p, refinement, starts)
-        variables = self.declared.variables
-        if starts is None:
-            ends = (values for _, values in corners(self.declared))
-            starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in ends]
-        steps = steps_at(self.exact, [[*self.values(y), *p] for y in starts], refinement)
+        designs = [at for _, at in corners(self.declared)] if starts is None else map(self.values, starts)
+        steps = steps_at(self.exact, [[*values, *p] for values in designs], refinement)
         key = (*steps, self.objective_scale, *self.scales)
         built = _cached(self._caches.built, key, _MOST_PROGRAMS, lambda: self._write(steps))
         return replace(self, refinement=refinement, checked=None, _built=built)
@@ -309,7 +306,7 @@ class Program:
             self._caches.linear,
             p.tobytes(),
             1,
-            lambda: linear_variables(_expressions(declared), declared.variables, symbols, p),
+            lambda: linear_variables(declared.expressions(), declared.variables, symbols, p),
         )
 
     @property
@@ -329,7 +326,7 @@ class Program:
         return _cached(self._caches.population, None, 1, self._write_population)
 
     def _write_population(self) -> Population:
-        objective, *rows = _expressions(self.declared)
+        objective, *rows = self.declared.expressions()
         raw = self._of_scaled([objective, ca.vertcat(*rows)], self._y, self._p)
         return Population(split(raw, [self._y, self._p]), self._y, self._p)
 
@@ -445,14 +442,9 @@ class Program:
         return replace(point, y=y, lam_y=point.lam_y[:n]), slack[:count] + slack[count:]
 
 
-def _expressions(declared: Declarations) -> list[ca.MX]:
-    """Return objective and requirements."""
-    return [declared.objective, *(r.expression for r in declared.requirements)]
-
-
 def _refuse_undeclared(declared: Declarations) -> None:
     names = ["objective", *(r.name for r in declared.requirements)]
-    for name, expression in zip(names, _expressions(declared), strict=True):
+    for name, expression in zip(names, declared.expressions(), strict=True):
         if strangers := declared.strangers(expression):
             raise InputError(
                 f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): create them"

@@ -276,7 +276,7 @@ def values_at_guess(
         raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
     refusal = exact.refusal([*guess, *p])
     for limit, value in zip(implied, found[len(found) - len(implied) :], strict=True):
-        if limit.margin(value) < 0.0:
+        if np.min(limit.margins(value)) < 0.0:
             least, most = float(np.min(value)), float(np.max(value))
             worst, side = (most, f"up to {limit.high:.6g}") if most > limit.high else (least, f"from {limit.low:.6g}")
             raise InputError(

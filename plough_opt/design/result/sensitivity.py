@@ -197,25 +197,25 @@ class Solved:
         up, down = self._active.move(change, 1.0), self._active.move(change, -1.0)
         objective = self._active.objective_slope(change) * self.program.objective_scale
         best = self._active.f * self.program.objective_scale
-        rising, falling, sizes = map(self._in_units, (up.y, down.y, np.ones(len(up.y))))
-        values = dict(zip(rising, self._unscaled(self._active.y), strict=True))
+        named, slopes = self.program.declared.named, self._slopes
+        rising, falling = named(up.y * slopes), named(down.y * slopes)
+        sizes, values = named(slopes), named(self._unscaled(self._active.y))
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
-        names = [v.name for v in self.program.declared.variables if not v.auxiliary]
         differs = bool(np.max(np.abs(up.y - down.y)) > _DERIVATIVES.same * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
             value=target.value,
             unit=target.unit,
             objective=objective,
-            variables={v: rising[v] for v in names},
+            variables=rising,
             elasticity=_elasticity(objective, target.value, best, self.program.objective_scale),
-            elasticities={v: _elasticity(rising[v], target.value, values[v], sizes[v]) for v in names},
+            elasticities={v: _elasticity(rising[v], target.value, values[v], sizes[v]) for v in rising},
             valid_from=lowest,
             valid_to=highest,
             then=(below, above),
             touching=self._active.touching if differs else (),
-            falling={v: falling[v] for v in names},
+            falling=falling,
             difference=self._difference(target, objective, up, down) if check else None,
         )
 
@@ -262,12 +262,11 @@ class Solved:
 
     # --- units -------------------------------------------------------------------------------------------
 
-    def _in_units(self, dy: Vector) -> dict[str, float]:
-        """Return derivatives of the variables in their units from those of the scaled variables."""
-        return {
-            v.name: float(d) * v.slope(float(y))
-            for v, d, y in zip(self.program.declared.variables, dy, self._active.y, strict=True)
-        }
+    @property
+    def _slopes(self) -> Vector:
+        """Derivatives of the variables in their units by the scaled variables."""
+        found = zip(self.program.declared.variables, self._active.y.tolist(), strict=True)
+        return np.array([v.slope(y) for v, y in found])
 
     def _unscaled(self, y: Vector) -> list[float]:
         """Return the variables in their units, also beyond their declared bounds, which a check may move."""
@@ -284,7 +283,7 @@ class Solved:
         errors, steps = [], []
         for move, sign in ((up, 1.0), (down, -1.0)):
             step = min(_DERIVATIVES.check_step * size, 0.5 * move.until)
-            expected = np.r_[objective, list(self._in_units(move.y).values())]
+            expected = np.r_[objective, move.y * self._slopes]
             slope = (self._solved_at(target, sign * step) - here) / (sign * step)
             errors.append((slope - expected) * size / scales)
             steps.append(step)
@@ -461,9 +460,8 @@ class ActiveSet:
 
     def _settle(self, point: Point) -> None:
         """Solve the optimality conditions by Newton's method, correcting the active set after each step."""
-        both = np.r_[point.lam_g, point.lam_y]
-        mu = np.maximum(0.0, -self._signs * both[self._rows])
-        mu[self._equal] = (-self._signs * both[self._rows])[self._equal]
+        pulls = -self._signs * np.r_[point.lam_g, point.lam_y][self._rows]
+        mu = np.where(self._equal, pulls, np.maximum(0.0, pulls))
         self._evaluate(point.y, mu)
         active = self._equal | decides(self.slack, mu)
         for _ in range(_NEWTON.most_steps):
@@ -551,14 +549,14 @@ class ActiveSet:
         stock = np.where(active, self.mu, np.maximum(self.slack, 0.0))
         rate = direction * np.where(active, mu_rate, opening)
         rate[self._equal] = 0.0
-        size = max(size, float(np.max(np.abs(rate), initial=0.0)))
+        size = max(size, float(np.max(np.abs(rate))))
         if np.any(rate[self.weak] < -_DECIDING.weak_rate * size):
             return None
         rate[self.weak] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = np.where(rate < -_DECIDING.no_rate * size, stock / -rate, np.inf)
-        first = int(np.argmin(reach)) if len(reach) else 0
-        if not len(reach) or not np.isfinite(reach[first]):
+        first = int(np.argmin(reach))  # A design has bounds, so it has sides.
+        if not np.isfinite(reach[first]):
             return Move(dy, math.inf, "")
         verb = "ceases" if active[first] else "begins"
         return Move(dy, float(reach[first]), f"{self.sides[first].name} {verb} to decide")

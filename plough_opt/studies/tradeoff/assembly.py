@@ -161,7 +161,9 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
     """
     program, point, corrector = front.program, candidate.point, front.correctors[candidate.exact]
     scaled, values = front.tight(point.y)
-    margins = {r.name: r.margin(x.ravel()) for r, x in zip(front.declared.requirements, values, strict=False)}
+    margins = {
+        r.name: float(np.min(r.margins(x.ravel()))) for r, x in zip(front.declared.requirements, values, strict=False)
+    }
     owner, variables = np.array(program.owner), program.declared.variables
     relative = [margin / scale for margin, scale in zip(margins.values(), program.scales, strict=False)]
     pulls = [float(np.max(np.abs(point.lam_g[owner == k]))) for k in range(len(margins))]

@@ -79,101 +79,75 @@ _DESCENTS = _Descents()
 _EVOLUTION = _Evolution()
 
 
-@dataclass(frozen=True)
-class Promising:
-    """A combination that can be best.
-
-    Attributes:
-        number: its row among the combinations.
-        start: the design, evaluated, from which to optimise the free variables.
-    """
-
-    number: int
-    start: Evaluations
-
-    @property
-    def merit(self) -> float:
-        """Merit of the start; every feasible one is below any that is not."""
-        return float(self.start.strict_merit[0])
-
-
-def promising(
-    landscape: Landscape,
-    optimum: Vector,
-    fixed: list[int],
-    combinations: Vector,
-    kept: list[int],
-    seed: int,
-    limit: TimeLimit,
-) -> list[Promising]:
-    """Return the combinations that can be best, lowest merit first and infeasible ones last.
-
-    All are evaluated with the free variables at the optimum and at a sample. The lowest are sampled again in shrinking
-    boxes around their best design, and from the lowest designs of the remaining ones descents start.
-
-    Args:
-        landscape: of the design; vectorised.
-        optimum: the scaled optimum.
-        fixed: numbers of the variables with a catalogue.
-        combinations: scaled values of these variables, a row for each combination.
-        kept: rows that are never dropped, such as the optimum's neighbours.
-        seed: of the samples.
-        limit: of the processor time; once it is over, the other combinations keep their lowest designs so far.
-    """
-    screen = _Screen(landscape, optimum, fixed, combinations, seed)
-    if not screen.free:
-        evaluated = landscape(screen.designs(np.arange(len(combinations)), np.empty((len(combinations), 0))))
-        best = _lowest(evaluated, _DESCENTS.combinations, kept)
-        return _ordered([Promising(int(k), evaluated.select([k])) for k in best])
-    numbers, samples = screen.sampled(kept)
-    descents = max(2, min(_DESCENTS.most_each, _DESCENTS.together // len(numbers)))
-    sample_by_number = dict(zip(numbers.tolist(), samples, strict=True))
-    found: list[Promising] = []
-    for number, own in sample_by_number.items():
-        late = found and limit.passed("descents in some combinations")
-        lowest = Promising(number, own.select([int(np.argmin(own.merit))])) if late else None
-        found.append(lowest or screen.descended(number, own, descents))
-    found = _ordered(found)
-    if len(screen.free) == 1:
-        return found
-    # With several free variables a sample may miss the best basin of a combination that can win.
-    highest, last = found[0].merit + CAN_WIN * abs(found[0].merit), list[Promising]()
-    for one in found[: _EVOLUTION.combinations]:
-        if one.merit > highest or limit.passed("evolution of some combinations"):
-            break
-        last.append(screen.evolved(one, sample_by_number[one.number]))
-    return _ordered([*last, *found[len(last) :]])
-
-
 class _Screen:
     """Evaluates combinations over the variables that have no catalogue."""
 
     def __init__(
         self, landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector, seed: int
     ) -> None:
+        """Prepare to find the combinations that can be best.
+
+        Args:
+            landscape: of the design; vectorised.
+            optimum: the scaled optimum.
+            fixed: numbers of the variables with a catalogue.
+            combinations: scaled values of these variables, a row for each combination.
+            seed: of the samples.
+        """
         self._landscape, self._optimum, self._fixed, self._combinations = landscape, optimum, fixed, combinations
-        self.free = [k for k in range(len(optimum)) if k not in fixed]
+        self._free = [k for k in range(len(optimum)) if k not in fixed]
         self._rng = np.random.default_rng([SEED + seed, len(combinations)])
 
-    def designs(self, numbers: np.ndarray, free: Vector) -> Vector:
-        """Return the designs that join combinations, by number, with values of the free variables, a row each."""
+    def promising(self, kept: list[int], limit: TimeLimit) -> dict[int, Vector]:
+        """Return the combinations that can be best, each by its row with a start from which to optimise.
+
+        The lowest merit is first and infeasible ones are last. All are evaluated with the free variables at the optimum
+        and at a sample. The lowest are sampled again in shrinking boxes around their best design, and from the lowest
+        designs of the remaining ones descents start.
+
+        Args:
+            kept: rows that are never dropped, such as the optimum's neighbours.
+            limit: of the processor time; once it is over, the other combinations keep their lowest designs so far.
+        """
+        every = np.arange(len(self._combinations))
+        at_optimum = self._landscape(self._designs(every, self._optimum[self._free]))
+        if not self._free:
+            best = _lowest(at_optimum, _DESCENTS.combinations, kept)
+            return _in_order({k: at_optimum.select([k]) for k in best.tolist()})
+        samples = self._sampled(at_optimum, kept)
+        descents = max(2, min(_DESCENTS.most_each, _DESCENTS.together // len(samples)))
+        found: dict[int, Evaluations] = {}
+        for number, own in samples.items():
+            late = found and limit.passed("descents in some combinations")
+            found[number] = own.select([int(np.argmin(own.merit))]) if late else self._descended(own, descents)
+        order = [*_in_order(found)]
+        # With several free variables a sample may miss the best basin of a combination that can win.
+        lowest = _rank(found[order[0]])
+        highest = lowest + CAN_WIN * abs(lowest)
+        for number in order[: _EVOLUTION.combinations] if len(self._free) > 1 else ():
+            if _rank(found[number]) > highest or limit.passed("evolution of some combinations"):
+                break
+            found[number] = self._evolved(found[number], samples[number])
+        return _in_order(found)
+
+    def _designs(self, numbers: np.ndarray, free: Vector) -> Vector:
+        """Return the designs that join combinations, by number, with a row each of the free variables, or the same."""
         found = np.empty((len(numbers), len(self._optimum)))
         found[:, self._fixed] = self._combinations[numbers]
-        found[:, self.free] = free
+        found[:, self._free] = free
         return found
 
-    def sampled(self, kept: list[int]) -> tuple[np.ndarray, list[Evaluations]]:
-        """Return the lowest combinations and the evaluated designs of each.
+    def _sampled(self, at_optimum: Evaluations, kept: list[int]) -> dict[int, Evaluations]:
+        """Return the lowest combinations, by number, with evaluated designs of each.
 
-        The designs of a combination are the one at the optimum, the best one found, and its part of the sample.
+        These are the one at the optimum, the best one found, and its part of the sample.
         """
-        count, n = len(self._combinations), len(self.free)
+        count, n = len(self._combinations), len(self._free)
         numbers = np.arange(count)
-        at_optimum = self._landscape(self.designs(numbers, np.tile(self._optimum[self.free], (count, 1))))
         each = int(np.clip(_FREE.designs // count, _FREE.fewest_each, _FREE.most_each))
         points = sobol_points(n, count * each, self._rng)
         # Consecutive points of the sequence fill the space evenly, so each combination takes a block of them.
-        sample = self._landscape(self.designs(np.repeat(numbers, each), points))
+        sample = self._landscape(self._designs(np.repeat(numbers, each), points))
         best = _best_of_each(at_optimum, sample, each)
         numbers = _lowest(best, _SHRINKING.combinations, kept)
         best = best.select(numbers)
@@ -182,62 +156,63 @@ class _Screen:
             remaining = max(_DESCENTS.combinations, _SHRINKING.combinations >> (k + 1))
             left = _lowest(best, remaining, np.flatnonzero(np.isin(numbers, kept)).tolist())
             numbers, best = numbers[left], best.select(left)
-        own = [
-            concatenated([at_optimum.select([k]), best.select([j]), sample.select(slice(k * each, (k + 1) * each))])
-            for j, k in enumerate(numbers)
-        ]
-        return numbers, own
+        return {
+            k: concatenated([at_optimum.select([k]), best.select([j]), sample.select(slice(k * each, (k + 1) * each))])
+            for j, k in enumerate(numbers.tolist())
+        }
 
     def _zoomed(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
         """Return the lowest design of each combination after sampling a box around its lowest so far."""
         each = _SHRINKING.designs
-        offsets = self._rng.uniform(-radius, radius, (len(numbers) * each, len(self.free)))
-        points = np.clip(np.repeat(best.points[:, self.free], each, axis=0) + offsets, 0.0, 1.0)
-        return _best_of_each(best, self._landscape(self.designs(np.repeat(numbers, each), points)), each)
+        offsets = self._rng.uniform(-radius, radius, (len(numbers) * each, len(self._free)))
+        points = np.clip(np.repeat(best.points[:, self._free], each, axis=0) + offsets, 0.0, 1.0)
+        return _best_of_each(best, self._landscape(self._designs(np.repeat(numbers, each), points)), each)
 
-    def descended(self, number: int, designs: Evaluations, count: int) -> Promising:
+    def _descended(self, designs: Evaluations, count: int) -> Evaluations:
         """Return the best end of descents from a combination's lowest designs, with the combination's values held."""
         # The designs at the optimum and the best one found; then the local minima of the sample.
         starts = [0, 1]
         if len(designs.f) > 4 * _SHRINKING.designs:
-            lowest, _ = local_minima(designs.points[:, self.free], designs.merit)
+            lowest, _ = local_minima(designs.points[:, self._free], designs.merit)
             starts += [int(k) for k in lowest if k > 1]
         # A design that cannot be evaluated has no slope to follow.
         starts = [k for k in starts if np.isfinite(designs.merit[k])][:count]
         ends = [self._end(designs.points[k]) for k in starts] or [designs.select([0])]
-        return min((Promising(number, end) for end in ends), key=lambda one: one.merit)
+        return min(ends, key=_rank)
 
-    def evolved(self, known: Promising, designs: Evaluations) -> Promising:
+    def _evolved(self, known: Evaluations, designs: Evaluations) -> Evaluations:
         """Return the end of an evolution from a combination's lowest designs if it is lower than the known start.
 
         Without it two of the random catalogue problems miss the basin of their best combination.
         """
-        n = len(self.free)
+        n = len(self._free)
         size = _EVOLUTION.designs_per_variable * n
         lowest = np.argsort(designs.merit, kind="stable")[:size]
-        start = np.vstack([known.start.points[:, self.free], designs.points[lowest][:, self.free]])
+        start = np.vstack([known.points[:, self._free], designs.points[lowest][:, self._free]])
         if len(start) < size:
             start = np.vstack([start, self._rng.random((size - len(start), n))])
 
-        def merit(x: Vector) -> Vector:
-            return self._landscape(self.designs(np.full(len(x), known.number), x)).merit
+        def whole(x: Vector) -> Vector:
+            found = np.repeat(known.points, len(x), axis=0)
+            found[:, self._free] = x
+            return found
 
         most, alike = _EVOLUTION.generations, _EVOLUTION.converged
-        best = evolved(merit, start, most, self._rng, from_best=n < MANY_VARIABLES, alike=alike)
-        end = Promising(known.number, self._end(self.designs(np.array([known.number]), best[None])[0]))
-        return self._along_each_variable(min(known, end, key=lambda one: one.merit))
+        best = evolved(
+            lambda x: self._landscape(whole(x)).merit, start, most, self._rng, from_best=n < MANY_VARIABLES, alike=alike
+        )
+        return self._along_each_variable(min(known, self._end(whole(best[None])[0]), key=_rank))
 
-    def _along_each_variable(self, one: Promising) -> Promising:
+    def _along_each_variable(self, one: Evaluations) -> Evaluations:
         """Return the lowest end of descents from dips along each free variable, which a sparse sample misses.
 
         One of the random catalogue problems needs it with some seeds.
         """
         for _ in range(_EVOLUTION.looks):
-            lines = lines_through(one.start.points[0], self.free)
+            lines = lines_through(one.points[0], self._free)
             dips = dips_along(self._landscape(lines).merit)
-            ends = [Promising(one.number, self._end(lines[k])) for k in dips]
-            best = min([one, *ends], key=lambda end: end.merit)
-            if not best.merit < one.merit - LEAST_GAIN * abs(one.merit):
+            best = min([one, *(self._end(lines[k]) for k in dips)], key=_rank)
+            if not _rank(best) < _rank(one) - LEAST_GAIN * abs(_rank(one)):
                 break
             one = best
         return one
@@ -278,8 +253,14 @@ def _lowest(best: Evaluations, count: int, kept: list[int]) -> np.ndarray:
     return np.array(list(dict.fromkeys([*chosen, *strict[: count + len(kept)]]))[: max(count, len(chosen))])
 
 
-def _ordered(found: list[Promising]) -> list[Promising]:
-    return sorted(found, key=lambda one: (one.merit, one.number))
+def _rank(design: Evaluations) -> float:
+    """Return the merit by which combinations are ranked: every feasible one is below any that is not."""
+    return float(design.strict_merit[0])
+
+
+def _in_order(found: dict[int, Evaluations]) -> dict[int, Vector]:
+    """Return the design of each combination, lowest first."""
+    return {k: found[k].points[0] for k in sorted(found, key=lambda k: (_rank(found[k]), k))}
 
 
 Catalogue = float | str | Sequence[float | str]
@@ -514,8 +495,9 @@ def _starts(
     if limit:
         always = set(itertools.product(*neighbours)) if near <= _MOST.optimised else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
-        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept, seed, limit)[: _MOST.optimised]
-        return [(one.start.points[0], combinations[one.number]) for one in found]
+        screen = _Screen(landscape, solved.point.y, fixed, np.array(scaled), seed)
+        found = [*screen.promising(kept, limit).items()][: _MOST.optimised]
+        return [(start, combinations[number]) for number, start in found]
     designs = np.repeat(solved.point.y[None], len(combinations), axis=0)
     designs[:, fixed] = scaled
     return list(zip(designs, combinations, strict=True))

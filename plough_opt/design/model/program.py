@@ -211,9 +211,7 @@ class Program:
         """Return objective and requirements by tight integration, and again by the method that checks it."""
         numbers = [*self.values(y), *p]
         at = y.tobytes(), p.tobytes()
-        return _cached(
-            self._caches.exact_values, at, 1, lambda: (self._exact(numbers), self._exact(numbers, check=True))
-        )
+        return cached(self._caches.exact_values, at, lambda: (self._exact(numbers), self._exact(numbers, check=True)))
 
     def _exact(self, numbers: list[float], *, check: bool = False) -> list[Vector]:
         """Return objective and requirements; where a variable bounds the worst objectives, the worst itself."""
@@ -263,7 +261,7 @@ class Program:
             check_bounds(own.declared, own.exact, p)
         try:
             implied = self.declared.requirements[len(self.own_requirements) :]
-            values = _cached(cache, key, 1, lambda: values_at_guess(self.declared, self.exact, implied, p))
+            values = cached(cache, key, lambda: values_at_guess(self.declared, self.exact, implied, p))
         except InputError as error:
             if not any_guess:
                 raise
@@ -286,28 +284,24 @@ class Program:
         designs = [at for _, at in corners(self.declared)] if starts is None else map(self.values, starts)
         steps = steps_at(self.exact, [[*values, *p] for values in designs], refinement)
         key = (*steps, self.objective_scale, *self.scales)
-        built = _cached(self._caches.built, key, _MOST_PROGRAMS, lambda: self._write(steps))
+        built = cached(self._caches.built, key, lambda: self._write(steps), _MOST_PROGRAMS)
         return replace(self, refinement=refinement, checked=None, _built=built)
 
     def _write(self, steps: list[int | None]) -> BuiltProgram:
         """Return the program with certain numbers of steps."""
         key = (self.objective_scale, *self.scales)
         y, p = self._y, self._p
-        parts = _cached(self._caches.parts, key, 1, lambda: split(self.scaled(y, p), [y, p]))
+        parts = cached(self._caches.parts, key, lambda: split(self.scaled(y, p), [y, p]))
         # The scaled program alone, lest each built one keeps the one before.
         scaled = replace(self, checked=None, _built=None)
         return BuiltProgram(scaled, steps, partial(build_nlp, parts, y, p, whole=self.compiled))
 
     def linear_variables(self, p: Vector) -> list[LinearVariable]:
         """Return the variables that follow from the others by algebra: see `plough_opt.design.model.population`."""
-        declared = self.declared
-        symbols = [own.symbol for own in declared.parameters]
-        return _cached(
-            self._caches.linear,
-            p.tobytes(),
-            1,
-            lambda: linear_variables(declared.expressions(), declared.variables, symbols, p),
-        )
+        expressions, variables = self.declared.expressions(), self.declared.variables
+        symbols = [own.symbol for own in self.declared.parameters]
+        find = partial(linear_variables, expressions, variables, symbols, p)
+        return cached(self._caches.linear, p.tobytes(), find)
 
     @property
     def built(self) -> BuiltProgram:
@@ -323,7 +317,7 @@ class Program:
     @property
     def population(self) -> Population:
         """Evaluates objective and requirements, unscaled, at many scaled designs at once."""
-        return _cached(self._caches.population, None, 1, self._write_population)
+        return cached(self._caches.population, None, self._write_population)
 
     def _write_population(self) -> Population:
         objective, *rows = self.declared.expressions()
@@ -460,7 +454,7 @@ def _bounds(start: Vector, box: float, fixed: Sequence[int]) -> tuple[Vector, Ve
     return lower, upper
 
 
-def _cached(cache: dict[Hashable, Cached], key: Hashable, most: int, make: Callable[[], Cached]) -> Cached:
+def cached(cache: dict[Hashable, Cached], key: Hashable, make: Callable[[], Cached], most: float = 1) -> Cached:
     """Return a cache's entry, made if it is missing; the oldest are dropped beyond ``most`` entries."""
     if key not in cache:
         while len(cache) >= most:
@@ -480,7 +474,7 @@ def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
         derivative_error(group.solver, group.first, group.varying, group.inputs(y, p).full())
         for group in program.built.plain.groups
     )
-    return _cached(program.built.errors, (y.tobytes(), p.tobytes()), 1, lambda: max(errors, default=0.0))
+    return cached(program.built.errors, (y.tobytes(), p.tobytes()), lambda: max(errors, default=0.0))
 
 
 def with_sure_steps(program: Program, p: Vector, starts: Sequence[Vector]) -> Program:

@@ -1,6 +1,6 @@
 """Local searches: sequential quadratic programming on a landscape, and from a basin's bottom to full accuracy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import partial
 from typing import Final, NamedTuple
@@ -25,7 +25,7 @@ from plough_opt.design.model.optimality import (
     symmetric,
     without_rounding,
 )
-from plough_opt.design.model.program import Program
+from plough_opt.design.model.program import Program, cached
 from plough_opt.design.search.effort import TimeLimit
 from plough_opt.design.search.landscape import FINER, VIOLATION, Evaluations, Landscape, concatenated
 
@@ -462,15 +462,12 @@ class Corrector:
         self._program, self._built = program, program.built
         self._limits = program.low + margin, program.high - margin
         self._curvature: Array | None = None
-        self._slopes: dict[bytes, Slopes] = {}
-        self._values: dict[bytes, tuple[Array, Array]] = {}
+        self._slopes: dict[Hashable, Slopes] = {}
+        self._values: dict[Hashable, tuple[Array, Array]] = {}
 
     def values(self, y: Array, p: Array) -> tuple[Array, Array]:
         """Return scaled objective and requirements, cached by design and parameters."""
-        key = y.tobytes() + p.tobytes()
-        if key not in self._values:
-            self._values[key] = self._evaluate(y, p)
-        return self._values[key]
+        return cached(self._values, (y.tobytes(), p.tobytes()), lambda: self._evaluate(y, p), np.inf)
 
     def _evaluate(self, y: Array, p: Array) -> tuple[Array, Array]:
         f, g = self._built.nlp.values(y, p)
@@ -478,10 +475,7 @@ class Corrector:
 
     def slopes(self, y: Array, p: Array) -> Slopes:
         """Return scaled values and first derivatives, cached by design and parameters."""
-        key = y.tobytes() + p.tobytes()
-        if key not in self._slopes:
-            self._slopes[key] = self._differentiate(y, p)
-        return self._slopes[key]
+        return cached(self._slopes, (y.tobytes(), p.tobytes()), lambda: self._differentiate(y, p), np.inf)
 
     def _differentiate(self, y: Array, p: Array) -> Slopes:
         f, g, gradient, jacobian = (np.asarray(result) for result in self._built.nlp.slopes(y, p))

@@ -9,8 +9,8 @@ an optimum for all of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Final, Literal, NamedTuple
 
@@ -23,7 +23,7 @@ from plough_opt.design.confirmation import BOX, boxes, corners, unit_box
 from plough_opt.design.declarations import Declarations, Requirement, Variable
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.nlp import split
-from plough_opt.design.model.program import Program
+from plough_opt.design.model.program import Program, cached
 from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.result.sensitivity import Sensitivity, Solved
 from plough_opt.design.search.explore import silent
@@ -56,44 +56,6 @@ class _CuttingSets(NamedTuple):
 _CUTS = _CuttingSets()
 
 
-@dataclass(frozen=True)
-class _Box:
-    """The sample of a tolerance box.
-
-    Attributes:
-        unit: positions in the unit box, a row each: the sampled designs, then the corners.
-        count: number of the sampled designs; at the corners only the requirements must be met.
-    """
-
-    unit: Vector
-    count: int
-
-    @classmethod
-    def of(cls, declared: Declarations) -> _Box:
-        """Return the sample for a problem of the bare design."""
-        n, count = len(declared.variables), designs_per_box(declared)
-        return cls(np.vstack([unit_box(n)[:count], corners(n, count)]), count)
-
-    def rows(self, landscape: Landscape, points: Vector) -> tuple[Vector, Vector]:
-        """Return scaled objectives and violations in the boxes around scaled designs.
-
-        Args:
-            landscape: of the bare design, without eliminated variables.
-            points: the designs, a row each.
-
-        Returns:
-            Objectives, -inf at corners and inf where there is none, with a row for each design and a column for each
-            position; and the scaled violation of each requirement, negative if it is met, with a further axis.
-        """
-        with np.errstate(all="ignore"):
-            f, g = landscape.rows(boxes(landscape.program.declared.variables, points, self.unit), finer=FINER)
-            violation = -landscape.program.least_margins(g)
-        shape = len(points), len(self.unit)
-        f = np.where(np.isfinite(f), f, np.inf).reshape(shape)
-        f[:, self.count :] = -np.inf
-        return f, np.where(np.isfinite(violation), violation, np.inf).reshape(*shape, -1)
-
-
 class ToleranceBoxSolver:
     """Solves a design over its tolerance box; it keeps the last program for further solves."""
 
@@ -102,10 +64,12 @@ class ToleranceBoxSolver:
         self._bare, self._over = bare, over
         # Requirements implied by theories are derived again, from the expressions of every design in the box.
         self._own = replace(bare.declared, requirements=bare.own_requirements)
-        self._box = _Box.of(self._own)
-        self._every = tuple(range(len(self._box.unit)))
+        # Positions in the unit box, a row each: sampled designs, then corners, at which only requirements must be met.
+        n, self._count = len(self._own.variables), designs_per_box(self._own)
+        self._unit = np.vstack([unit_box(n)[: self._count], corners(n, self._count)])
+        self._every = tuple(range(len(self._unit)))
         # The last program, with the parameters, the bounds of the worst objective and the positions it was built for.
-        self._built: tuple[object, Program] | None = None
+        self._built: dict[Hashable, Program] = {}
 
     def solve(self, request: Request) -> Optimum:
         """Return the best optimum."""
@@ -165,8 +129,27 @@ class ToleranceBoxSolver:
         sampled = evaluated_sample(landscape, _CUTS.sample)
         best = np.argsort(sampled.merit, kind="stable")[: _CUTS.promising]
         points = np.vstack([landscape.program.start()[None], sampled.points[best]])
-        f, violation = self._box.rows(landscape, points)
+        f, violation = self._rows(landscape, points)
         return tuple(sorted({*np.argmax(f, axis=1).tolist(), *np.argmax(violation, axis=1).ravel().tolist()}))
+
+    def _rows(self, landscape: Landscape, points: Vector) -> tuple[Vector, Vector]:
+        """Return scaled objectives and violations in the boxes around scaled designs.
+
+        Args:
+            landscape: of the bare design, without eliminated variables.
+            points: the designs, a row each.
+
+        Returns:
+            Objectives, -inf at corners and inf where there is none, with a row for each design and a column for each
+            position; and the scaled violation of each requirement, negative if it is met, with a further axis.
+        """
+        with np.errstate(all="ignore"):
+            f, g = landscape.rows(boxes(landscape.program.declared.variables, points, self._unit), finer=FINER)
+            violation = -landscape.program.least_margins(g)
+        shape = len(points), len(self._unit)
+        f = np.where(np.isfinite(f), f, np.inf).reshape(shape)
+        f[:, self._count :] = -np.inf
+        return f, np.where(np.isfinite(violation), violation, np.inf).reshape(*shape, -1)
 
     def _missing(
         self, landscape: Landscape, best: Optimum, bounds: tuple[float, float], chosen: tuple[int, ...]
@@ -182,12 +165,12 @@ class ToleranceBoxSolver:
         assert best.search is not None  # only a loaded optimum has none
         variables = landscape.program.declared.variables
         points = np.array([[v.scaled(one.variables[v.name]) for v in variables] for one in best.local_optima])
-        f, violation = self._box.rows(landscape, points)
+        f, violation = self._rows(landscape, points)
         values = np.concatenate([f[:, :, None], violation], axis=2)
         worst, own = np.max(values, axis=1), np.max(values[:, chosen], axis=1)
         missing = set(np.argmax(values, axis=1)[worst > own + _CUTS.worse].tolist())
         if not missing:
-            made = boxes(variables, points[:1], self._box.unit)
+            made = boxes(variables, points[:1], self._unit)
             missing = {k for k in {*self._every} - {*chosen} if landscape.program.refuses(made[k], landscape.p)}
         heights = (worst[:, 0] * landscape.objective_scale - bounds[0]) / (bounds[1] - bounds[0])
         return Known(np.column_stack([points, np.clip(heights, 0.0, 1.0)]), best.search), missing
@@ -205,18 +188,18 @@ class ToleranceBoxSolver:
 
     def _program(self, p: Vector, bounds: tuple[float, float] | None, chosen: tuple[int, ...]) -> Program:
         key = None if bounds is None else (p.tobytes(), bounds, chosen)
-        if self._built is None or self._built[0] != key:
-            over = (
-                f"the objective is the {self._over} of {self._box.count} designs within the tolerances, all of which"
-                " meet the requirements"
-            )
-            if self._own.requirements:
-                over += f", as do {len(self._box.unit) - self._box.count} corners of the box"
-            objectives = sum(k < self._box.count for k in chosen)
-            declared = over_box(self._own, self._box.unit[list(chosen)], objectives, bounds)
-            bare = self._bare
-            self._built = key, Program.of(declared, compiled=bare.compiled, bare=bare, over=over, ipopt=bare.ipopt)
-        return self._built[1]
+        return cached(self._built, key, lambda: self._written(bounds, chosen))
+
+    def _written(self, bounds: tuple[float, float] | None, chosen: tuple[int, ...]) -> Program:
+        over = (
+            f"the objective is the {self._over} of {self._count} designs within the tolerances, all of which meet the"
+            " requirements"
+        )
+        if self._own.requirements:
+            over += f", as do {len(self._unit) - self._count} corners of the box"
+        bare, objectives = self._bare, sum(k < self._count for k in chosen)
+        declared = over_box(self._own, self._unit[list(chosen)], objectives, bounds)
+        return Program.of(declared, compiled=bare.compiled, bare=bare, over=over, ipopt=bare.ipopt)
 
 
 class _SolvedForSome(Solved):

@@ -29,7 +29,7 @@ from plough_opt.design.model.program import Program, cached
 from plough_opt.design.search.effort import TimeLimit
 from plough_opt.design.search.landscape import FINER, VIOLATION, Evaluations, Landscape, concatenated
 
-Box = tuple[Vector, Vector]
+Box = tuple[Vector | float, Vector | float]
 """Lower and upper bounds of scaled variables."""
 
 # The first step of quadratic programs needs several rounds, because the curvature depends on the multipliers that the
@@ -82,27 +82,26 @@ class _DescentLimits(NamedTuple):
 _LIMITS = _DescentLimits()
 
 
-def descend(landscape: Landscape, start: Vector, box: Box | None = None) -> Evaluations:
+def descend(landscape: Landscape, start: Vector, box: Box = (0.0, 1.0)) -> Evaluations:
     """Return the end of a descent from a scaled start within bounds, by default 0 and 1; never worse than the start.
 
     If runs are integrated one by one, a descent takes too long and the start is returned.
     """
     if not landscape.vectorised:
         return landscape(start[None])
-    descent = _Descent(landscape, box)
-    start = np.clip(start, *descent.box)
+    start = np.clip(start, *box)
     if landscape.eliminated:
-        start = np.clip(landscape(start[None]).points[0], *descent.box)
-    return descent.end_from(start)
+        start = np.clip(landscape(start[None]).points[0], *box)
+    return _Descent(landscape, box).end_from(start)
 
 
 def nearest_feasible(landscape: Landscape, design: Vector, start: Vector | None = None) -> Evaluations:
     """Return the feasible design nearest to a given one, as a local search finds it from a start or from the design."""
-    descent = _Descent(landscape, None, lambda points, _: np.sum((points - design) ** 2, axis=1))
+    descent = _Descent(landscape, (0.0, 1.0), lambda points, _: np.sum((points - design) ** 2, axis=1))
     return descent.end_from(design if start is None else start)
 
 
-def least_violation(landscape: Landscape, start: Vector, box: Box | None = None) -> Evaluations:
+def least_violation(landscape: Landscape, start: Vector, box: Box = (0.0, 1.0)) -> Evaluations:
     """Return the local minimum near a start of the summed violations."""
     return _Descent(landscape, box, lambda _, f: np.zeros_like(f)).end_from(start)
 
@@ -151,17 +150,16 @@ class _Descent:
     """
 
     def __init__(
-        self, landscape: Landscape, box: Box | None, objective: Callable[[Vector, Vector], Vector] = lambda _, f: f
+        self, landscape: Landscape, box: Box, objective: Callable[[Vector, Vector], Vector] = lambda _, f: f
     ) -> None:
         """Prepare a descent.
 
         Args:
             landscape: the landscape.
-            box: bounds of the scaled variables; by default 0 and 1.
+            box: bounds of the scaled variables.
             objective: scaled designs and their scaled objectives -> what to minimise.
         """
-        self._landscape, self._program, self._objective = landscape, landscape.program, objective
-        self.box = (np.zeros(landscape.dimensions), np.ones(landscape.dimensions)) if box is None else box
+        self._landscape, self._program, self._objective, self._box = landscape, landscape.program, objective, box
         # The best design so far: whether it is infeasible, its merit, and its variables.
         self._best: tuple[bool, float, list[float]] | None = None
 
@@ -177,7 +175,7 @@ class _Descent:
             if np.max(np.abs(moves[_DESCENT.whole])) < reach * _DESCENT.shortest:
                 break
             weight = max(0.5 * weight, _LIMITS.over_multipliers * float(np.max(np.abs(lam_g), initial=0.0)))
-            line = np.clip(y + moves, *self.box)
+            line = np.clip(y + moves, *self._box)
             merit = self._merits(line, weight)
             lowest, least_gain = int(np.nanargmin(merit)), _DESCENT.least_gain * abs(merit[0])
             if merit[lowest] < merit[0] - least_gain:
@@ -233,7 +231,7 @@ class _Descent:
         at = np.array(g), gradient / size, np.reshape(jacobian, (len(rows), len(y)))
         limits = self._program.low[rows], self._program.high[rows]
         longest = reach * _DESCENT.longest
-        box = np.maximum(self.box[0], y - longest), np.minimum(self.box[1], y + longest)
+        box = np.maximum(self._box[0], y - longest), np.minimum(self._box[1], y + longest)
         step, lam_g, lam_y = np.zeros(len(y)), lam_g / size, np.zeros(len(y))
         for _ in range(rounds):
             curvature = curvature_of(hessians, lam_g)

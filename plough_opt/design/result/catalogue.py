@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ from plough_opt.design.search.landscape import (
     lines_through,
     local_minima,
     sobol_points,
+    with_variables,
 )
 from plough_opt.design.search.local import AS_FOUND, descend, least_violation, point_as_found
 from plough_opt.design.search.near import failures, from_least_violation
@@ -192,11 +194,7 @@ class _Screen:
         if len(start) < size:
             start = np.vstack([start, self._rng.random((size - len(start), n))])
 
-        def whole(x: Vector) -> Vector:
-            found = np.repeat(known.points, len(x), axis=0)
-            found[:, self._free] = x
-            return found
-
+        whole = partial(with_variables, known.points[0], self._free)
         most, alike = _EVOLUTION.generations, _EVOLUTION.converged
         best = evolved(
             lambda x: self._landscape(whole(x)).merit, start, most, self._rng, from_best=n < MANY_VARIABLES, alike=alike
@@ -498,9 +496,7 @@ def _starts(
         screen = _Screen(landscape, solved.point.y, fixed, np.array(scaled), seed)
         found = [*screen.promising(kept, limit).items()][: _MOST.optimised]
         return [(start, combinations[number]) for number, start in found]
-    designs = np.repeat(solved.point.y[None], len(combinations), axis=0)
-    designs[:, fixed] = scaled
-    return list(zip(designs, combinations, strict=True))
+    return list(zip(with_variables(solved.point.y, fixed, scaled), combinations, strict=True))
 
 
 def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tuple[Point | None, dict[str, float]]:

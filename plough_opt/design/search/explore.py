@@ -28,6 +28,7 @@ from plough_opt.design.search.landscape import (
     lines_through,
     local_minima,
     sample,
+    with_variables,
 )
 from plough_opt.design.search.local import Shortfall, descend, least_violation
 
@@ -310,8 +311,8 @@ class Explorer:
     def _descend_inside(self, centre: Vector, radius: float, rng: np.random.Generator) -> None:
         """Descend from the lowest sampled designs of a box around a design."""
         points, _ = sample(len(self.variables), _LOOK.sample, np.full(len(self.variables), 0.5), rng)
-        designs = np.repeat(centre[None], len(points), axis=0)
-        designs[:, self.variables] = np.clip(centre[self.variables] + radius * (2.0 * points - 1.0), 0.0, 1.0)
+        inside = np.clip(centre[self.variables] + radius * (2.0 * points - 1.0), 0.0, 1.0)
+        designs = with_variables(centre, self.variables, inside)
         evaluated = self._evaluate(designs)
         promising = self._worth_descending(evaluated)
         for k in local_minima(points, self._merit(evaluated))[0][: _LOOK.descents]:
@@ -383,9 +384,7 @@ class Explorer:
 
     def _full_designs(self, points: Vector) -> Vector:
         """Return designs with the searched variables at these points and the others at the start."""
-        designs = np.repeat(self.start[None], len(points), axis=0)
-        designs[:, self.variables] = points
-        return designs
+        return with_variables(self.start, self.variables, points)
 
     def _evolved(self, points: Vector, sampled: Evaluations, island: int, rng: np.random.Generator) -> Vector:
         """Return the best design of an evolution that starts from a part of the sample."""

@@ -363,6 +363,13 @@ class _AlongVariables(NamedTuple):
 _ALONG = _AlongVariables()
 
 
+def with_variables(y: Vector, variables: Sequence[int], points: Any) -> Vector:
+    """Return copies of a scaled design with some variables, by number, at other points, a row each."""
+    designs = np.repeat(y[None], len(points), axis=0)
+    designs[:, variables] = points
+    return designs
+
+
 def lines_through(y: Vector, variables: Sequence[int], radius: float = 1.0) -> Vector:
     """Return designs along each of the given variables, equally many on each line, a row each.
 
@@ -371,12 +378,10 @@ def lines_through(y: Vector, variables: Sequence[int], radius: float = 1.0) -> V
         variables: numbers of the variables.
         radius: length of the lines on either side of the design; they end at bounds.
     """
-    lines = np.repeat(y[None], _ALONG.positions * len(variables), axis=0)
-    for k, variable in enumerate(variables):
-        own = slice(k * _ALONG.positions, (k + 1) * _ALONG.positions)
-        ends = max(y[variable] - radius, 0.0), min(y[variable] + radius, 1.0)
-        lines[own, variable] = np.linspace(*ends, _ALONG.positions)
-    return lines
+    lines = np.tile(y, (len(variables), _ALONG.positions, 1))
+    for line, k in zip(lines, variables, strict=True):
+        line[:, k] = np.linspace(max(y[k] - radius, 0.0), min(y[k] + radius, 1.0), _ALONG.positions)
+    return lines.reshape(-1, len(y))
 
 
 def local_minima(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]:

@@ -223,8 +223,8 @@ class _Solve:
         """
         program, landscape, request = self._program, self._landscape, self._request
         variables = program.declared.variables
-        own, none = [k for k, v in enumerate(variables) if not v.auxiliary], np.empty(0)
-        sample = explored.sample if explored else Evaluations(np.empty((0, len(variables))), none, none)
+        own = [k for k, v in enumerate(variables) if not v.auxiliary]
+        sample = explored.sample if explored else Evaluations.none(len(variables))
         return SearchRecord(
             asked=str(request.search),
             variables=tuple(variables[k].name for k in vary if k in own),

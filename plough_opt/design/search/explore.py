@@ -132,7 +132,7 @@ class Explorer:
     _dense: bool = field(init=False, default=False)
     _samples: list[Evaluations] = field(init=False, default_factory=list)
     # Ends of descents, the criterion at each, and for pairs of them whether a barrier separates them.
-    _ends: list[Evaluations] = field(init=False, default_factory=list)
+    _ends: Evaluations = field(init=False)
     _ranks: list[float] = field(init=False, default_factory=list)
     _separated: dict[tuple[int, int], bool] = field(init=False, default_factory=dict)
     # For each followed point the number of the end it led to.
@@ -140,6 +140,7 @@ class Explorer:
 
     def __post_init__(self) -> None:
         self.variables = list(self.variables)
+        self._ends = Evaluations.none(self.landscape.dimensions)
         self._evaluate: Callable[[Vector], Evaluations] = self.shortfall or self.landscape
 
     def explore(self) -> Explored:
@@ -224,9 +225,8 @@ class Explorer:
         self._dense = effort.dense and not self._feasible_rare
         lowest, downhill = local_minima(points, self._merit(sampled))
         if self._feasible_rare:
-            lowest = np.r_[
-                lowest[sampled.feasible[lowest]], lowest[~sampled.feasible[lowest]][: _ROUND.infeasible_starts]
-            ]
+            feasible = sampled.feasible[lowest]
+            lowest = np.r_[lowest[feasible], lowest[~feasible][: _ROUND.infeasible_starts]]
         lowest = lowest[: effort.descents]
         starts = [*sampled.points[lowest], *further]
         ends: list[int] = []
@@ -294,7 +294,7 @@ class Explorer:
         for _ in range(_LOOK.violation_rounds if self.shortfall else _LOOK.rounds):
             if self.stop() or self.limit.passed("a closer look at the best designs"):
                 return
-            centres, before = self._basins()[0].points[: _LOOK.centres], len(self._ends)
+            centres, before = self._basins()[0].points[: _LOOK.centres], len(self._ends.f)
             radii = _LOOK.radii_if_rare if self.shortfall or self._feasible_rare else _LOOK.radii
             boxes = list(itertools.product(centres, radii))
             for number, (centre, radius) in enumerate(boxes):
@@ -303,9 +303,9 @@ class Explorer:
                 self._descend_from_dips(centre, radius)
             for _ in range(_LOOK.translations):
                 self._descend_from_translations()
-            merits = [float(self._merit(end)[0]) for end in self._ends]
-            lowest = min(merits[:before], default=np.inf)
-            if not min(merits[before:], default=np.inf) < lowest - LEAST_GAIN * abs(lowest):
+            merit = self._merit(self._ends)
+            lowest = np.min(merit[:before])
+            if not np.min(merit[before:], initial=np.inf) < lowest - LEAST_GAIN * abs(lowest):
                 return
 
     def _descend_inside(self, centre: Vector, radius: float, rng: np.random.Generator) -> None:
@@ -324,10 +324,9 @@ class Explorer:
 
         A box holds hardly any sample in the ripple next to the best one if that differs in several variables.
         """
-        ends = concatenated(self._ends)
-        merit = self._merit(ends)
-        order = apart(ends.points, np.argsort(merit, kind="stable"), BASINS.same, _LOOK.ends)
-        lowest, highest = ends.points[order], merit[order[-1]]
+        merit = self._merit(self._ends)
+        order = apart(self._ends.points, np.argsort(merit, kind="stable"), BASINS.same, _LOOK.ends)
+        lowest, highest = self._ends.points[order], merit[order[-1]]
         moved = np.clip(lowest[0] + (lowest[:, None] - lowest).reshape(-1, lowest.shape[1]), 0.0, 1.0)
         moved = moved[np.unique(moved.round(_LOOK.digits), axis=0, return_index=True)[1]]
         near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < BASINS.same
@@ -345,29 +344,27 @@ class Explorer:
             starts: for each uniform point, in random order, the number of the local minimum below it in the sample.
             known: ends of descents by the number of their start; new ones are added.
         """
-        left = self.effort.followed
+        left, doing = self.effort.followed, "following designs drawn at random"
         for number, start in enumerate(starts[: _ROUND.most_followed]):
             if start not in known:
-                if left == 0 or not np.isfinite(sampled.merit[start]):
-                    return
-                if self.limit.passed("following designs drawn at random"):
+                if left == 0 or not np.isfinite(sampled.merit[start]) or self.limit.passed(doing):
                     return
                 left -= 1
-                self.progress("following designs drawn at random", number / min(len(starts), _ROUND.most_followed))
+                self.progress(doing, number / min(len(starts), _ROUND.most_followed))
                 known[start] = self._end_from(sampled.points[start])
             self._followed.append(known[start])
 
     def _end_from(self, start: Vector) -> int:
         """Return the number of the end of a descent; with a dense sample a known end if the way to it only falls."""
-        if self._ends and self.limit.passed("further descents"):
+        if len(self._ends.f) and self.limit.passed("further descents"):
             raise _OutOfTime
         landscape = self.landscape
-        if self._ends and self._dense and landscape.vectorised:
-            known = end_straight_downhill(landscape, start, concatenated(self._ends))
+        if len(self._ends.f) and self._dense and landscape.vectorised:
+            known = end_straight_downhill(landscape, start, self._ends)
             if known is not None:
                 return known
-        self._ends.append(self._descended(start))
-        return len(self._ends) - 1
+        self._ends = concatenated([self._ends, self._descended(start)])
+        return len(self._ends.f) - 1
 
     def _descended(self, start: Vector) -> Evaluations:
         """Return the end of a descent. If runs are integrated one by one it is the start: the optimiser descends."""
@@ -410,7 +407,7 @@ class Explorer:
 
         If any end is feasible, infeasible ones are left out.
         """
-        ends = concatenated(self._ends) if self._ends else self._samples[0].select(slice(0, 0))
+        ends = self._ends
         basin: list[int | None] = [None] * len(ends.f)
         valid = np.flatnonzero(ends.feasible if np.any(ends.feasible) else np.isfinite(ends.merit))
         if len(ends.f) > len(self._ranks):

@@ -62,6 +62,11 @@ class Evaluations:
     f: Vector
     violation: Vector
 
+    @classmethod
+    def none(cls, dimensions: int) -> Evaluations:
+        """Return no design, with a number of variables."""
+        return cls(np.empty((0, dimensions)), np.empty(0), np.empty(0))
+
     @property
     def feasible(self) -> np.ndarray:
         """Whether each design meets all requirements."""

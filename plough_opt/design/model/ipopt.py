@@ -124,21 +124,6 @@ class Point:
     iterations: int
     curvatures: tuple[Vector, Vector] | None = None
 
-    @classmethod
-    def of(cls, result: dict[str, ca.DM], stats: dict[str, Any], enough: bool = False) -> Point:
-        """Return the point of a result and the statistics of CasADi's interface to IPOPT.
-
-        Args:
-            result: the solver's outputs by name.
-            stats: its statistics.
-            enough: as in `SolveOptions`: whether an acceptable point counts as solved.
-        """
-        y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
-        status = stats["return_status"]
-        ends = ("Solve_Succeeded", "Solved_To_Acceptable_Level") if enough else ("Solve_Succeeded",)
-        solved = status in ends and bool(np.all(np.isfinite(y)))
-        return cls(solved, status, y, float(result["f"]), lam_g, lam_y, int(stats["iter_count"]))
-
 
 class LastPoint:
     """A cache of the values and slopes at the last point that IPOPT evaluated.
@@ -259,10 +244,13 @@ class Solver:
         if self._last.interrupted:
             self._last.interrupted = False
             raise KeyboardInterrupt
-        point = Point.of(result, solver.stats(), enough)
-        outcome = point.status, point.iterations, point.f
-        _LOG.debug("IPOPT from %s: %s in %d iterations, scaled objective %.9g", begin, *outcome)
-        return point
+        y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
+        stats, f = solver.stats(), float(result["f"])
+        status, iterations = stats["return_status"], int(stats["iter_count"])
+        ends = ("Solve_Succeeded", "Solved_To_Acceptable_Level") if enough else ("Solve_Succeeded",)
+        solved = status in ends and bool(np.all(np.isfinite(y)))
+        _LOG.debug("IPOPT from %s: %s in %d iterations, scaled objective %.9g", begin, status, iterations, f)
+        return Point(solved, status, y, f, lam_g, lam_y, iterations)
 
     def _solver(self, begin: str, exact: bool, enough: bool) -> ca.Function:
         kind = begin, exact, enough

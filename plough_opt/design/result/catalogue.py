@@ -294,11 +294,6 @@ class Allowed:
     offered: Sequence[float] | range
     step: float = 0.0
 
-    @property
-    def count(self) -> int:
-        """Number of values."""
-        return len(self.offered)
-
     def values(self) -> list[float]:
         """Return all values in ascending order."""
         return self._in_unit(self.offered)
@@ -308,7 +303,7 @@ class Allowed:
         v, near = self.variable, self.offered
         if self.step:
             below = math.floor(optimum / self.step) - 1 - self.offered[0]
-            near = self.offered[max(0, min(int(below), self.count - 1)) :][:5]
+            near = self.offered[max(0, min(int(below), len(self.offered) - 1)) :][:5]
         values = self._in_unit(near)
         nearest_value = min(values, key=lambda x: abs(x - optimum))
         if abs(nearest_value - optimum) <= _VALUES.same * (v.upper - v.lower):
@@ -375,7 +370,7 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     else:
         inside = values[(values >= v.lower - reserve) & (values <= v.upper + reserve)]
         found = Allowed(number, v, tuple(np.unique(np.clip(inside, v.lower, v.upper)).tolist()))
-    if not found.count:
+    if not found.offered:
         raise InputError(
             f"no catalogue value of '{v.name}' lies between its bounds {in_words(v.lower, v.unit)} and"
             f" {in_words(v.upper, v.unit)}: add one that does, or widen the bounds"
@@ -414,7 +409,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     offered = allowed(solved.program.declared.variables, catalogues)
     fixed = [own.number for own in offered]
     landscape = Landscape(solved.program, p, fixed)
-    count = math.prod(own.count for own in offered)
+    count = math.prod(len(own.offered) for own in offered)
     few = count < _MOST.screened and count * solved.program.population.runs < _MOST.runs_screened
     every = landscape.vectorised and few
     limit = TimeLimit("auto")

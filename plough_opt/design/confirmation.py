@@ -387,8 +387,7 @@ def _too_high(landscape: Landscape, median: Vector, own: Vector) -> NDArray[np.b
         everywhere = landscape.program.population(unit_box(landscape.dimensions), landscape.p)[0]
     sizes = np.abs(everywhere[np.isfinite(everywhere)]) / landscape.objective_scale
     typical = float(np.median(sizes)) if len(sizes) else 0.0
-    found: NDArray[np.bool_] = median - own > BASINS.needle * np.maximum(np.abs(own), SMALL * typical)
-    return found
+    return np.asarray(median - own > BASINS.needle * np.maximum(np.abs(own), SMALL * typical))
 
 
 def corners(n: int, most: int) -> Vector:

@@ -415,7 +415,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     limit = TimeLimit("auto")
     starts = _starts(landscape, solved, offered, seed, limit if every else None)
     program = solved.program.with_steps(p, starts=[start for start, _ in starts])
-    reached: list[tuple[Choice, Point, Combination]] = []
+    reached: list[tuple[Choice, Point]] = []
     failed: list[Choice] = []
     for number, (start, values) in enumerate(starts):
         if reached and limit.passed(f"optima of {len(starts) - number} of the {len(starts)} most promising ones"):
@@ -426,13 +426,13 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
             failed.append(Choice(names, None, conflicts))
         else:
             objective = point.f * program.objective_scale
-            reached.append((Choice(names, objective, {}, spread(landscape, point.y, objective)), point, values))
+            reached.append((Choice(names, objective, {}, spread(landscape, point.y, objective)), point))
     screened = count if every else len(starts)
     if not reached:
         raise _none_feasible(program, failed, screened)
-    judged = ranking_criterion(landscape, judge)(np.array([point.y for _, point, _ in reached]))
+    judged = ranking_criterion(landscape, judge)(np.array([point.y for _, point in reached]))
     order = sorted(range(len(reached)), key=lambda k: (round(float(judged[k]), 9), reached[k][1].f))
-    choice, point, values = reached[order[0]]
+    choice, point = reached[order[0]]
     # A rounded variable is held by its catalogue, not by a bound, so its bound must not count as active.
     multipliers = point.lam_y.copy()
     multipliers[fixed] = 0.0
@@ -445,7 +445,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
         status="unconfirmed" if point.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
         warnings=(*_left_out(limit), *warnings),
-        solved=Solved(program, p, point, dict(zip(fixed, values, strict=True))),
+        solved=Solved(program, p, point, dict(zip(fixed, choice.values.values(), strict=True))),
         fixed=tuple(choice.values),
         unrounded=unrounded,
         tried=(*(reached[k][0] for k in order), *failed),

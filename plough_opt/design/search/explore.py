@@ -261,9 +261,9 @@ class Explorer:
 
     def _worth_descending(self, designs: Evaluations) -> np.ndarray:
         """Return whether a descent from each design is worth its time."""
-        promising: np.ndarray = (designs.violation <= self._most_violation) & np.isfinite(designs.f)
+        promising = (designs.violation <= self._most_violation) & np.isfinite(designs.f)
         # A dense sample has led to the ends that infeasible designs lead to.
-        return promising & designs.feasible if self._dense else promising
+        return np.asarray(promising & designs.feasible if self._dense else promising)
 
     def _descend_from_dips(self, centre: Vector, radius: float = 1.0) -> None:
         """Descend from dips along each variable through a design: a sample may be too sparse to show them.
@@ -399,8 +399,7 @@ class Explorer:
             alike=_ROUND.converged,
             stop=lambda: self.limit.passed("further generations of the evolution"),
         )
-        design: Vector = self._full_designs(best[None])[0]
-        return design
+        return np.asarray(self._full_designs(best[None])[0])
 
     def _basins(self) -> tuple[Evaluations, list[int | None]]:
         """Return the lowest design of each basin, best first, and the basin of each end; None for an end left out.

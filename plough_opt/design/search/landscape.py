@@ -209,8 +209,7 @@ def barriers(evaluate: Callable[[Vector], Evaluations], one: Evaluations, others
     lines = one.points + fractions[:, None, None] * (others.points - one.points)
     merit = evaluate(lines.reshape(-1, lines.shape[2])).merit.reshape(_LINES.barrier_positions, -1)
     higher = np.maximum(others.merit, one.merit)
-    found: NDArray[np.bool_] = merit.max(axis=0) > higher + BASINS.barrier * np.abs(higher)
-    return found
+    return np.asarray(merit.max(axis=0) > higher + BASINS.barrier * np.abs(higher))
 
 
 def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations) -> int | None:
@@ -232,15 +231,14 @@ def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations
     return near[0] if near else None
 
 
-def _only_fall(landscape: Landscape, start: Vector, ends: Vector, fractions: Vector) -> list[bool]:
+def _only_fall(landscape: Landscape, start: Vector, ends: Vector, fractions: Vector) -> NDArray[np.bool_]:
     """Return for each end whether the merit only falls over these fractions of the line from the start."""
     lines = start + fractions[:, None] * (ends - start)[:, None]
     # Equal numbers of steps along a line: a change of the number would look like a rise.
     merit = landscape(lines.reshape(-1, len(start)), together=len(fractions)).merit.reshape(-1, len(fractions))
     with np.errstate(invalid="ignore"):
         small = largest_rise(merit) <= _LINES.path_rise * np.abs(merit[:, -1])
-    falls: list[bool] = (np.isfinite(merit).all(axis=1) & small).tolist()
-    return falls
+    return np.asarray(np.isfinite(merit).all(axis=1) & small)
 
 
 def largest_rise(merit: Vector) -> Vector:
@@ -275,8 +273,7 @@ def sobol_points(n: int, count: int, rng: np.random.Generator) -> NDArray[np.flo
     if n > MOST_DIMENSIONS:
         from scipy.stats.qmc import Sobol  # slow to import
 
-        points: NDArray[np.float64] = Sobol(n, rng=rng).random(count)
-        return points
+        return np.asarray(Sobol(n, rng=rng).random(count))
     (rng,) = rng.spawn(1)
     shift = _as_numbers(rng.integers(2, size=(n, _BITS), dtype=np.uint32)[:, ::-1])
     mixing = np.tril(rng.integers(2, size=(n, _BITS, _BITS), dtype=np.uint32), -1) | np.eye(_BITS, dtype=np.uint32)
@@ -292,8 +289,7 @@ def sobol_points(n: int, count: int, rng: np.random.Generator) -> NDArray[np.flo
 
 def _as_numbers(bits: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """Return the numbers whose bits, highest first, lie along the last axis."""
-    found: NDArray[np.uint32] = (bits << np.arange(_BITS - 1, -1, -1, dtype=np.uint32)).sum(axis=-1, dtype=np.uint32)
-    return found
+    return np.asarray((bits << np.arange(_BITS - 1, -1, -1, dtype=np.uint32)).sum(axis=-1, dtype=np.uint32))
 
 
 def _directions(n: int) -> NDArray[np.uint32]:
@@ -422,8 +418,7 @@ def dips_along(merit: Vector) -> np.ndarray:
     lines = merit.reshape(-1, _ALONG.positions)
     wall = np.pad(lines, ((0, 0), (1, 1)), constant_values=np.inf)
     dips = np.flatnonzero(((wall[:, 1:-1] < wall[:, :-2]) & (wall[:, 1:-1] <= wall[:, 2:])).ravel())
-    lowest_first: np.ndarray = dips[np.argsort(merit[dips], kind="stable")]
-    return lowest_first[: _ALONG.dips * len(lines)]
+    return np.asarray(dips[np.argsort(merit[dips], kind="stable")][: _ALONG.dips * len(lines)])
 
 
 def evolved(
@@ -463,5 +458,4 @@ def evolved(
         vectorized=True,
         callback=lambda intermediate_result: stop(),  # noqa: ARG005, SciPy passes it by this name
     )
-    best: Vector = found.x
-    return best
+    return np.asarray(found.x)

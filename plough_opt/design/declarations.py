@@ -281,8 +281,9 @@ class Declarations:
 
     def describe(self, values: NDArray[np.float64]) -> str:
         """Return the variables with certain values in words; those added by the program are left out."""
-        return ", ".join(
-            f"{v.name} = {in_words(float(x), v.unit)}"
-            for v, x in zip(self.variables, values, strict=True)
-            if not v.auxiliary
-        )
+        return values_in_words(self.named(values), {v.name: v.unit for v in self.variables})
+
+
+def values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Return values of variables with their units."""
+    return ", ".join(f"{name} = {in_words(value, units[name])}" for name, value in values.items())

@@ -14,10 +14,10 @@ from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InfeasibleDesign, InputError, listed, nearest
 from plough_opt.core.units import has_unit, in_si, in_words
 from plough_opt.design.confirmation import Judge, ranking_criterion, spread
-from plough_opt.design.declarations import Variable
+from plough_opt.design.declarations import Variable, values_in_words
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.program import Program
-from plough_opt.design.result.optimum import Choice, Rounded, values_in_words
+from plough_opt.design.result.optimum import Choice, Rounded
 from plough_opt.design.result.reporting import reports
 from plough_opt.design.result.sensitivity import Solved
 from plough_opt.design.search.effort import AUTO_SECONDS, CAN_WIN, TimeLimit

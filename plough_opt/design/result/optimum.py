@@ -17,6 +17,7 @@ from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import OBJECTIVE_DIGITS, Display, customary, in_words
 from plough_opt.design.confirmation import Spread
+from plough_opt.design.declarations import values_in_words
 from plough_opt.design.result.sensitivity import NO_PERCENTAGE, Sensitivity, Solved
 from plough_opt.design.search.effort import expected_unseen
 from plough_opt.motion.run import Machine, Run, without_repetition
@@ -738,8 +739,3 @@ class Rounded(Optimum):
         if len(self.tried) < self.screened:
             return f"all {self.screened} combinations were evaluated and {len(self.tried)} of them optimised"
         return f"all {self.combinations} combinations were optimised" if self.combinations > 1 else "the only one"
-
-
-def values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """Return values of variables with their units."""
-    return ", ".join(f"{name} = {in_words(value, units[name])}" for name, value in values.items())

@@ -159,9 +159,9 @@ class LastPoint:
 class _Cached(ca.Callback):
     """The values, or the slopes, of a `LastPoint` as a Function that CasADi can call."""
 
-    def __init__(self, last: LastPoint, function: ca.Function, *, sloping: bool) -> None:
+    def __init__(self, last: LastPoint, nlp: Nlp, *, sloping: bool) -> None:
         ca.Callback.__init__(self)
-        self._last, self._function, self._sloping = last, function, sloping
+        self._last, self._function, self._sloping = last, nlp.slopes if sloping else nlp.values, sloping
         self.construct("slopes" if sloping else "values", {})
 
     def get_n_in(self) -> int:
@@ -197,10 +197,7 @@ class Solver:
         """Prepare to solve a program with lower and upper limits of its requirements, and further options of IPOPT."""
         self._nlp, self._last = nlp, LastPoint(nlp)
         # CasADi does not keep a Callback alive.
-        self._callbacks = (
-            _Cached(self._last, nlp.values, sloping=False),
-            _Cached(self._last, nlp.slopes, sloping=True),
-        )
+        self._callbacks = _Cached(self._last, nlp, sloping=False), _Cached(self._last, nlp, sloping=True)
         parts = ipopt_functions(*self._callbacks)
         y, p = nlp.values.mx_in()
         self._problem = {"x": y, "p": p, "f": parts["f"](y, p), "g": parts["g"](y, p)}

@@ -46,6 +46,11 @@ class _Optima(NamedTuple):
 
 _OPTIMA = _Optima()
 
+_LEFT_OUT = (
+    "the search left out {}: there may be a better design; search='thorough', a number of designs or a time such as"
+    " '5 min' has no such limit"
+)
+
 
 @dataclass(frozen=True)
 class Known:
@@ -140,7 +145,7 @@ class _Solve:
             search=record,
             seconds=time.perf_counter() - self._request.started,
             warnings=(
-                *limit.warnings(),
+                *limit.warnings(_LEFT_OUT),
                 *accuracy_warnings,
                 *remarks(record.objective, best, optima[0], program.ipopt),
                 *warnings,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from plough_opt.core.checks import array_of, shown
-from plough_opt.core.errors import InfeasibleDesign, InputError, listed, nearest
+from plough_opt.core.errors import InfeasibleDesign, InputError, nearest
 from plough_opt.core.units import has_unit, in_si, in_words
 from plough_opt.design.confirmation import Judge, ranking_criterion, spread
 from plough_opt.design.declarations import Variable, values_in_words
@@ -20,7 +20,7 @@ from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Choice, Rounded
 from plough_opt.design.result.reporting import reports
 from plough_opt.design.result.sensitivity import Solved
-from plough_opt.design.search.effort import AUTO_SECONDS, CAN_WIN, TimeLimit
+from plough_opt.design.search.effort import CAN_WIN, TimeLimit
 from plough_opt.design.search.landscape import (
     LEAST_GAIN,
     MANY_VARIABLES,
@@ -444,7 +444,10 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
         over=program.over,
         status="unconfirmed" if point.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
-        warnings=(*_left_out(limit), *warnings),
+        warnings=(
+            *limit.warnings("{} were left out: there may be a better combination; offer fewer values"),
+            *warnings,
+        ),
         solved=Solved(program, p, point, dict(zip(fixed, choice.values.values(), strict=True))),
         fixed=tuple(choice.values),
         unrounded=unrounded,
@@ -456,14 +459,6 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
 
 Combination = tuple[float, ...]
 """One value from each catalogue."""
-
-
-def _left_out(limit: TimeLimit) -> tuple[str, ...]:
-    """Return a sentence on what was left out once the time was over, if anything was."""
-    if not limit.left_out:
-        return ()
-    after, rest = f"after {AUTO_SECONDS:g} s of processor time", listed([*limit.left_out])
-    return (f"{after} {rest} were left out: there may be a better combination; offer fewer values",)
 
 
 def _starts(

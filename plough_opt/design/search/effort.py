@@ -116,14 +116,11 @@ class TimeLimit:
             self.left_out[part] = None
         return late
 
-    def warnings(self) -> tuple[str, ...]:
-        """Return a sentence on what was left out, if anything was."""
+    def warnings(self, rest: str) -> tuple[str, ...]:
+        """Return a sentence on what was left out, if anything was; ``rest`` of it has {} in place of the parts."""
         if not self.left_out:
             return ()
-        return (
-            f"after {AUTO_SECONDS:g} s of processor time the search left out {listed([*self.left_out])}: there may be a"
-            " better design; search='thorough', a number of designs or a time such as '5 min' has no such limit",
-        )
+        return (f"after {AUTO_SECONDS:g} s of processor time {rest.format(listed([*self.left_out]))}",)
 
 
 def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> Effort:

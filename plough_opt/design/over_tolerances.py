@@ -9,10 +9,9 @@ an optimum for all of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import replace
-from functools import cached_property
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -25,7 +24,7 @@ from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.nlp import split
 from plough_opt.design.model.program import Program, cached
 from plough_opt.design.result.optimum import Optimum
-from plough_opt.design.result.sensitivity import Sensitivity, Solved
+from plough_opt.design.result.sensitivity import Solved
 from plough_opt.design.search.explore import silent
 from plough_opt.design.search.landscape import FINER, VIOLATION, Landscape, evaluated_sample
 from plough_opt.design.solving import Known, Request, solve_program
@@ -183,8 +182,9 @@ class ToleranceBoxSolver:
             assert again.solved is not None  # only a loaded optimum has none
             return again.solved
 
-        assert best.solved is not None
-        return replace(best, solved=_SolvedForSome(best.solved, whole))
+        own = best.solved
+        assert own is not None
+        return replace(best, solved=Solved(own.program, own.p, own.point, whole=whole))
 
     def _program(self, p: Vector, bounds: tuple[float, float] | None, chosen: tuple[int, ...]) -> Program:
         key = None if bounds is None else (p.tobytes(), bounds, chosen)
@@ -200,30 +200,6 @@ class ToleranceBoxSolver:
         bare, objectives = self._bare, sum(k < self._count for k in chosen)
         declared = over_box(self._own, self._unit[list(chosen)], objectives, bounds)
         return Program.of(declared, compiled=bare.compiled, bare=bare, over=over, ipopt=bare.ipopt)
-
-
-class _SolvedForSome(Solved):
-    """An optimum of a program of some positions, solved for all of them where others may begin to decide."""
-
-    def __init__(self, own: Solved, whole: Callable[[], Solved]) -> None:
-        super().__init__(own.program, own.p, own.point, rounder=self._rounded)
-        self._solve = whole
-
-    @cached_property
-    def _whole(self) -> Solved:
-        return self._solve()
-
-    def _rounded(self, _own: Solved, catalogues: Any) -> Any:
-        assert self._whole.rounder is not None  # only rounded optima have none
-        return self._whole.rounder(self._whole, catalogues)
-
-    def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
-        """Return the sensitivity to a parameter or a limit, with all positions."""
-        return self._whole.sensitivity(name, check=check)
-
-    def every(self) -> tuple[Sensitivity, ...]:
-        """Return the sensitivities to all parameters that matter and all limits that decide, with all positions."""
-        return self._whole.every()
 
 
 def over_box(declared: Declarations, positions: Vector, count: int, bounds: tuple[float, float] | None) -> Declarations:

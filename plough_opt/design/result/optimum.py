@@ -594,7 +594,7 @@ class Optimum(LocalOptimum):
         if isinstance(self, Rounded):
             raise InputError("this optimum is rounded already")
         offered = {**mapping_of("catalogues", catalogues, "a variable's name -> its values"), **more}
-        solved = self._with_design()
+        solved = self._with_design().whole
         assert solved.rounder is not None, "only rounded optima have none"
         found: Rounded = solved.rounder(solved, offered)
         return found
@@ -625,7 +625,7 @@ class Optimum(LocalOptimum):
         if self.flat_directions:
             along = "; ".join(", ".join(name for name, change in d.items() if change) for d in self.flat_directions)
             raise InputError(f"the optimum is not unique and so has no sensitivities: fix one of {along}")
-        return self._with_design()
+        return self._with_design().whole
 
     def _with_design(self) -> Solved:
         if self.solved is None:

@@ -147,6 +147,7 @@ class Solved:
         point: Point,
         fixed: Mapping[int, float] = MappingProxyType({}),
         rounder: Callable[[Solved, Mapping[str, Any]], Any] | None = None,
+        whole: Callable[[], Solved] | None = None,
     ) -> None:
         """Store an optimum of a built program.
 
@@ -156,8 +157,9 @@ class Solved:
             point: the optimum.
             fixed: number -> value of the variables that are held.
             rounder: (this object, catalogues) -> the optimum with some variables rounded.
+            whole: solves the same optimum with all that may begin to decide, if the program leaves some of it out.
         """
-        self.program, self.p, self.point, self.rounder = program, p, point, rounder
+        self.program, self.p, self.point, self.rounder, self._solve_whole = program, p, point, rounder, whole
         self._fixed = tuple(fixed)
         self.values = program.values(point.y)
         self.values[list(self._fixed)] = list(fixed.values())
@@ -169,6 +171,11 @@ class Solved:
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
         """Return None in place of the design's functions, which cannot be pickled."""
         return type(None), ()
+
+    @cached_property
+    def whole(self) -> Solved:
+        """The same optimum with all that may begin to decide: for sensitivities and rounded variables."""
+        return self if self._solve_whole is None else self._solve_whole()
 
     def evaluate(self, expression: ca.MX) -> Vector:
         """Return the value of an expression of the design's symbols at the optimum, its runs integrated tightly.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -38,32 +37,6 @@ _Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool], Vector]
 
 # Most runs whose results an evaluation caches: enough for a design of some hundred soil samples at a few points.
 _MOST_CACHED: Final = 4096
-
-
-@dataclass(frozen=True)
-class _Alike:
-    """Scenes, or arguments of a law, that differ only in numbers, so that they can be checked at once as arrays.
-
-    Attributes:
-        template: a scene or arguments, with a placeholder for each quantity.
-        check: raises an error if such an object is not valid, and checks domains by `check_domain`.
-        quantities: values of the symbols -> the quantities, a column for each object.
-    """
-
-    template: Any
-    check: Callable[[Any], object]
-    quantities: ca.Function
-
-    def inside(self, numbers: Sequence[float]) -> bool:
-        """Return whether all keep every limit; False also if one of their classes takes no arrays."""
-        rows = self.quantities(*numbers).full()
-        values = iter([row if np.ptp(row) else float(row[0]) for row in rows])
-        try:
-            with limits_of_numbers() as limits:
-                self.check(map_expressions(self.template, lambda _: next(values), is_quantity))
-        except Exception:  # a user's own class may raise any error for arrays
-            return False
-        return all(np.all(limit.holds(value)) for limit, value in limits)
 
 
 class TightEvaluation:
@@ -105,7 +78,7 @@ class TightEvaluation:
                 self._checked_alike &= not is_own(meaning.law)
                 alike.setdefault(id(meaning), (meaning.template, meaning.run, []))[2].append(ca.vec(carried))
         self._alike = [
-            _Alike(template, check, ca.Function("alike", list(symbols), [ca.densify(ca.horzcat(*columns))]))
+            (template, check, ca.Function("alike", list(symbols), [ca.densify(ca.horzcat(*columns))]))
             for template, check, columns in alike.values()
         ]
         for meaning, carried in parts.labels:
@@ -174,7 +147,7 @@ class TightEvaluation:
         return (
             self._checked_alike
             and all(limit.holds(value) for limit, value in self._bare_values(numbers))
-            and all(alike.inside(numbers) for alike in self._alike)
+            and all(_keep_limits(template, check, of(*numbers).full()) for template, check, of in self._alike)
         )
 
     def refusal(self, numbers: Sequence[float]) -> str:
@@ -227,6 +200,25 @@ class TightEvaluation:
                 _, scene = self.inputs(k, numbers)
                 raise IntegrationError(f"the motion of a {scene.describe()} has no finite result")
         return [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]
+
+
+def _keep_limits(template: Any, check: Callable[[Any], object], quantities: Vector) -> bool:
+    """Return whether objects that differ only in numbers keep every limit, as arrays tell of all of them at once.
+
+    False also if one of their classes takes no arrays.
+
+    Args:
+        template: a scene or arguments of a law, with a placeholder for each quantity.
+        check: raises an error if such an object is not valid, and checks domains by `check_domain`.
+        quantities: a row for each, with a column for each object.
+    """
+    values = iter([row if np.ptp(row) else float(row[0]) for row in quantities])
+    try:
+        with limits_of_numbers() as limits:
+            check(map_expressions(template, lambda _: next(values), is_quantity))
+    except Exception:  # a user's own class may raise any error for arrays
+        return False
+    return all(np.all(limit.holds(value)) for limit, value in limits)
 
 
 def _tight_results(own: Integration, inputs: tuple[float, ...], check: bool) -> Vector:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable
 from dataclasses import replace
+from functools import cache
 from typing import Final, Literal, NamedTuple
 
 import casadi as ca
@@ -177,6 +178,7 @@ class ToleranceBoxSolver:
     def _with_whole_box(self, best: Optimum, request: Request, bounds: tuple[float, float]) -> Optimum:
         """Return an optimum whose sensitivities and catalogue choices account for all positions."""
 
+        @cache
         def whole() -> Solved:
             again = solve_program(self._program(request.p, bounds, self._every), request)
             assert again.solved is not None  # only a loaded optimum has none

@@ -292,8 +292,8 @@ class Program:
         key = (self.objective_scale, *self.scales)
         y, p = self._y, self._p
         parts = cached(self._caches.parts, key, lambda: split(self.scaled(y, p), [y, p]))
-        # The scaled program alone, lest each built one keeps the one before.
-        scaled = replace(self, checked=None, _built=None)
+        # The scaled program alone: what is built must not refer to the cache that it is kept in.
+        scaled = replace(self, checked=None, _built=None, _caches=_Caches())
         return BuiltProgram(scaled, steps, partial(build_nlp, parts, y, p, whole=self.compiled))
 
     def linear_variables(self, p: Vector) -> list[LinearVariable]:

@@ -157,7 +157,7 @@ class Solved:
             point: the optimum.
             fixed: number -> value of the variables that are held.
             rounder: (this object, catalogues) -> the optimum with some variables rounded.
-            whole: solves the same optimum with all that may begin to decide, if the program leaves some of it out.
+            whole: returns the same optimum with all that may begin to decide, if the program leaves some of it out.
         """
         self.program, self.p, self.point, self.rounder, self._solve_whole = program, p, point, rounder, whole
         self._fixed = tuple(fixed)
@@ -172,7 +172,7 @@ class Solved:
         """Return None in place of the design's functions, which cannot be pickled."""
         return type(None), ()
 
-    @cached_property
+    @property
     def whole(self) -> Solved:
         """The same optimum with all that may begin to decide: for sensitivities and rounded variables."""
         return self if self._solve_whole is None else self._solve_whole()

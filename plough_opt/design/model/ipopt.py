@@ -253,10 +253,7 @@ class Solver:
         kind = begin, exact, enough
         if kind not in self._solvers:
             options = OPTIONS | self._derivatives | _SETTINGS_BY_START[begin] | (_STOP_EARLY if enough else {})
-            if exact:
-                options["hess_lag"] = self._nlp.hess_lag
-            else:
-                options |= _QUASI_NEWTON
+            options |= {"hess_lag": self._nlp.hess_lag} if exact else _QUASI_NEWTON
             options |= self._options
             self._solvers[kind] = ca.nlpsol("design", "ipopt", self._problem, options)
         return self._solvers[kind]

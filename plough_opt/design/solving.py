@@ -160,7 +160,7 @@ class _Solve:
         effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
         known = landscape, start, vary, self._criterion, effort, self._progress, request.seed
         explored = Explorer(*known, limit=request.limit).explore()
-        if not len(explored.minima.f) and explored.least_violating is None:
+        if not len(explored.minima.f) and not len(explored.least_violating.f):
             raise NotConverged(
                 f"none of {landscape.designs_tried} designs between the bounds has a value, with"
                 f" {program.declared.ranges()}: tighten the bounds, or shorten the duration",

@@ -87,14 +87,14 @@ class Explored:
         minima: the lowest design of each basin, best first by the search's criterion.
         followed: number of uniform sample points that were followed to their basins.
         reached: number of different basins in which these ended.
-        least_violating: if no feasible design was found: those found with the least violation, least first.
+        least_violating: for each round without a feasible design, those with the least violation, least first.
     """
 
     sample: Evaluations
     minima: Evaluations
     followed: int
     reached: int
-    least_violating: Evaluations | None = None
+    least_violating: Evaluations
 
 
 @dataclass
@@ -128,7 +128,7 @@ class Explorer:
     _feasible_rare: bool = field(init=False, default=False)
     # Descents start only from designs with at most this violation.
     _most_violation: float = field(init=False, default=np.inf)
-    _least_violating: Evaluations | None = field(init=False, default=None)
+    _least_violating: Evaluations = field(init=False)
     _dense: bool = field(init=False, default=False)
     _samples: list[Evaluations] = field(init=False, default_factory=list)
     # Ends of descents, the criterion at each, and for pairs of them whether a barrier separates them.
@@ -140,7 +140,7 @@ class Explorer:
 
     def __post_init__(self) -> None:
         self.variables = list(self.variables)
-        self._ends = Evaluations.none(self.landscape.dimensions)
+        self._ends = self._least_violating = Evaluations.none(self.landscape.dimensions)
         self._evaluate: Callable[[Vector], Evaluations] = self.shortfall or self.landscape
 
     def explore(self) -> Explored:
@@ -199,9 +199,7 @@ class Explorer:
         self._feasible_rare, self._most_violation = True, float(sampled.violation.min())
         feasible = shortfall.feasible_designs()
         if feasible is None:
-            least = search._basins()[0]
-            known = self._least_violating
-            self._least_violating = least if known is None else concatenated([known, least])
+            self._least_violating = concatenated([self._least_violating, search._basins()[0]])
         return feasible
 
     def _search(

@@ -181,7 +181,7 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
         ends = explored.least_violating
-        if ends is None:
+        if not len(ends.f):
             ends = concatenated([least_violation(landscape, one) for one in starts])
         ends = ends.select(np.argsort(ends.violation, kind="stable"))
         ends = ends.select(ends.violation <= (1.0 + _LEAST.excess) * ends.violation[0])

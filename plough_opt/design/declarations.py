@@ -106,11 +106,9 @@ class Variable:
             InputError: the tolerance is neither a half width nor a percentage.
         """
         given = self.tolerance
-        number = _PER_CENT.fullmatch(given) if isinstance(given, str) else None
-        if number is not None:
+        part: Expression = 1.0
+        if isinstance(given, str) and (number := _PER_CENT.fullmatch(given)):
             given, part = float(number[1]), absolute(value) / 100.0
-        else:
-            part = 1.0
         # A NumPy float of few bytes could not be compared with the largest float.
         given = float(given) if isinstance(given, np.floating) else given
         is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)

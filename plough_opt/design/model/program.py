@@ -222,8 +222,7 @@ class Program:
     @cached_property
     def first_rows(self) -> list[int]:
         """Number of each requirement's first row."""
-        first: list[int] = np.flatnonzero(np.diff(np.array(self.owner, dtype=int), prepend=-1)).tolist()
-        return first
+        return [int(k) for k in np.flatnonzero(np.diff(np.array(self.owner, dtype=int), prepend=-1))]
 
     def margins(self, g: Vector) -> Vector:
         """Return the scaled distance of each row of the requirements from its limit, positive inside."""

@@ -570,13 +570,10 @@ class ActiveSet:
 
     def change(self, parameter: int | None, side: str) -> Change:
         """Return the change by one unit of a parameter, given by number, or of the limit of the sides with a name."""
-        q, b = np.zeros(len(self._p)), np.zeros(len(self.sides))
+        q = np.zeros(len(self._p))
         if parameter is not None:
             q[parameter] = 1.0
-        for k, own in enumerate(self.sides):
-            if own.name == side:
-                b[k] = own.per_unit
-        return q, b
+        return q, np.array([own.per_unit if own.name == side else 0.0 for own in self.sides])
 
     @property
     def parameters_that_matter(self) -> list[bool]:

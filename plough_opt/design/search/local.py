@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from plough_opt.core.plain_data import Array
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.optimality import (
     ZERO,
@@ -440,10 +439,10 @@ class Slopes(NamedTuple):
         jacobian: of the requirements, shape (m, n).
     """
 
-    f: Array
-    g: Array
-    gradient: Array
-    jacobian: Array
+    f: Vector
+    g: Vector
+    gradient: Vector
+    jacobian: Vector
 
 
 class Corrector:
@@ -455,36 +454,36 @@ class Corrector:
 
     largest_residual = 1e-10
 
-    def __init__(self, program: Program, margin: Array | float = 0.0) -> None:
+    def __init__(self, program: Program, margin: Vector | float = 0.0) -> None:
         """Use a program that is built, with a scaled margin that is kept to each row's limits."""
         self._program, self._built = program, program.built
         self._limits = program.low + margin, program.high - margin
-        self._curvature: Array | None = None
+        self._curvature: Vector | None = None
         self._slopes: dict[Hashable, Slopes] = {}
-        self._values: dict[Hashable, tuple[Array, Array]] = {}
+        self._values: dict[Hashable, tuple[Vector, Vector]] = {}
 
-    def values(self, y: Array, p: Array) -> tuple[Array, Array]:
+    def values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return scaled objective and requirements, cached by design and parameters."""
         return cached(self._values, (y.tobytes(), p.tobytes()), lambda: self._evaluate(y, p), np.inf)
 
-    def _evaluate(self, y: Array, p: Array) -> tuple[Array, Array]:
+    def _evaluate(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         f, g = self._built.nlp.values(y, p)
         return np.array(f.nonzeros()), np.array(g.nonzeros())
 
-    def slopes(self, y: Array, p: Array) -> Slopes:
+    def slopes(self, y: Vector, p: Vector) -> Slopes:
         """Return scaled values and first derivatives, cached by design and parameters."""
         return cached(self._slopes, (y.tobytes(), p.tobytes()), lambda: self._differentiate(y, p), np.inf)
 
-    def _differentiate(self, y: Array, p: Array) -> Slopes:
+    def _differentiate(self, y: Vector, p: Vector) -> Slopes:
         f, g, gradient, jacobian = (np.asarray(result) for result in self._built.nlp.slopes(y, p))
         return Slopes(f.ravel(), g.ravel(), gradient.ravel(), jacobian)
 
-    def residual(self, point: Point, p: Array) -> float:
+    def residual(self, point: Point, p: Vector) -> float:
         """Return the scaled residual of the first-order conditions at a point."""
         _, g, gradient, jacobian = self.slopes(point.y, p)
         return residual(point, (g, gradient, jacobian), self._limits)
 
-    def correct(self, neighbour: Point, start: Array, p: Array) -> Point:
+    def correct(self, neighbour: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start, by quadratic programs from a neighbour's multipliers.
 
         The estimate of the Lagrangian's curvature is updated from the change of its gradient (Powell 1978) and kept
@@ -511,7 +510,7 @@ class Corrector:
                 return point
         return begin
 
-    def iterate(self, point: Point, curvature: Array, p: Array, most: int = _CORRECTION.most_steps) -> Point:
+    def iterate(self, point: Point, curvature: Vector, p: Vector, most: int = _CORRECTION.most_steps) -> Point:
         """Return the optimum to which steps lead from a point; it is not ``solved`` if they cease to shrink.
 
         Args:
@@ -544,11 +543,11 @@ class Corrector:
                 curvature = _updated(curvature, step, change)
         return point
 
-    def _initial_curvature(self, y: Array, p: Array, lam_g: Array) -> Array:
+    def _initial_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
         """Return the Hessian of the Lagrangian, by a rough integration, made positive definite."""
         return made_convex(symmetric(np.asarray(self._built.rough.hess_lag(y, p, 1.0, lam_g))))
 
-    def solve_from_afar(self, neighbour: Point, start: Array, p: Array) -> Point:
+    def solve_from_afar(self, neighbour: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start from which `correct` fails, by IPOPT.
 
         Args:
@@ -565,7 +564,7 @@ class Corrector:
         return point
 
 
-def _updated(curvature: Array, step: Array, change: Array) -> Array:
+def _updated(curvature: Vector, step: Vector, change: Vector) -> Vector:
     """Return the BFGS update of a curvature, with Powell's damping, which keeps it positive definite.
 
     Args:

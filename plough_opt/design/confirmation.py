@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,28 +18,33 @@ from plough_opt.core.errors import DomainError
 from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.optimality import (
-    FLAT_CURVATURE,
+    ZERO,
     decides,
     free_directions,
     lagrangian,
     reduced_curvatures,
     symmetric,
 )
-from plough_opt.design.model.program import Program, error_of_derivatives, steps_factor
+from plough_opt.design.model.program import Program, error_of_derivatives
+from plough_opt.design.model.tight_integration import steps_factor
 from plough_opt.design.search.effort import TimeLimit
-from plough_opt.design.search.landscape import FEASIBLE, FINER, NEEDLE, Landscape, sobol_points
-from plough_opt.design.search.local import ACTIVE, AS_FOUND, highest_accepted, solved_again
+from plough_opt.design.search.landscape import BASINS, FINER, VIOLATION, Landscape, sobol_points
+from plough_opt.design.search.local import AS_FOUND, highest_accepted, solved_again
 
 SMALL = 0.25
-"""Objectives below this part of the program's scale count as small: their errors are relative to the scale."""
+"""An objective below this part of its typical size counts as small: near 0 a fraction of it would mean nothing."""
 
-_MOST_REFINEMENTS = 4
-# A refinement must reduce the excess of the error to this part of the last one; otherwise more steps do not help.
-_PROGRESS = 0.5
-# A program whose method has a fixed setting gets a warning above this relative gap.
-_COARSE = 1e-6
-# Within this distance of a scaled design the error of derivatives is not measured again.
-_SAME_ERROR = 1e-3
+
+class _Refinements(NamedTuple):
+    """Bounds of the refinements of the integration steps."""
+
+    most: int = 4
+    # A refinement must reduce the excess of the error to this part of the last one; otherwise more steps do not help.
+    progress: float = 0.5
+    coarse: float = 1e-6  # A program whose method has a fixed setting gets a warning above this relative gap.
+
+
+_REFINEMENTS = _Refinements()
 
 
 def with_enough_steps(
@@ -61,17 +66,17 @@ def with_enough_steps(
         The program, the points, and a warning for each error that is still too large.
     """
     wanted, factor, last = program.wanted_error, program.refinement, math.inf
-    for number in range(_MOST_REFINEMENTS + 1):
+    for number in range(_REFINEMENTS.most + 1):
         # Of the objective at any point, or the violation of a limit if that is larger.
         value_error = max(max(gap_of(program, p, point), _violation(program, p, point)) for point in points)
         slope_error = _slope_error(program, p, points[0])
         excess = max(value_error / (wanted or math.inf), slope_error / program.wanted_of_derivatives)
         # A motion may be too sensitive for any number of steps.
-        if excess <= 1.0 or excess > _PROGRESS * last or number == _MOST_REFINEMENTS:
+        if excess <= 1.0 or excess > _REFINEMENTS.progress * last or number == _REFINEMENTS.most:
             break
         if limit.passed("finer integration steps"):
             break
-        progress(f"refining: error {max(value_error, slope_error):.1e}", number / _MOST_REFINEMENTS)
+        progress(f"refining: error {max(value_error, slope_error):.1e}", number / _REFINEMENTS.most)
         factor *= steps_factor(excess)
         try:
             finer = program.with_steps(p, factor, [point.y for point in points])
@@ -98,7 +103,7 @@ def _slope_error(program: Program, p: Vector, best: Point) -> float:
     """
     if best.status == AS_FOUND:
         return 0.0
-    if program.checked is not None and np.max(np.abs(program.checked[0] - best.y)) < _SAME_ERROR:
+    if program.checked is not None and np.max(np.abs(program.checked[0] - best.y)) < BASINS.same:
         return program.checked[1]
     return error_of_derivatives(program, best.y, p)
 
@@ -106,7 +111,7 @@ def _slope_error(program: Program, p: Vector, best: Point) -> float:
 def _warnings(program: Program, value_error: float, slope_error: float) -> Iterator[str]:
     """Yield a warning for each of the two errors that is larger than wanted."""
     wanted, wanted_of_derivatives = program.wanted_error, program.wanted_of_derivatives
-    if wanted is None and value_error > _COARSE:
+    if wanted is None and value_error > _REFINEMENTS.coarse:
         yield (
             f"the optimiser's objective has a relative error of {value_error:.1e}: use more steps or a tighter"
             " tolerance"
@@ -142,10 +147,14 @@ def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
     return again if again.solved and again.f <= highest_accepted(program, p, point.y) else point
 
 
-# It is flat if the objective changes by less than this fraction.
-_FLAT_OBJECTIVE = 1e-9
-# Scaled step from a point along a suspicious direction.
-_ASIDE = 0.02
+class _Aside(NamedTuple):
+    """A step from a point along a suspicious direction."""
+
+    step: float = 0.02  # scaled
+    flat: float = 1e-9  # The direction is flat if the objective changes by less than this fraction.
+
+
+_ASIDE = _Aside()
 
 
 def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
@@ -155,7 +164,7 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
     after which the other variables are optimised again.
     """
     curvatures, directions = at.curvatures or curvatures_at(program, p, at)
-    flat = np.flatnonzero(np.abs(curvatures) < FLAT_CURVATURE)
+    flat = np.flatnonzero(np.abs(curvatures) < ZERO.curvature)
     return [directions[:, k] for k in flat if _confirmed(program, p, at, directions[:, k])]
 
 
@@ -172,9 +181,9 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
     # At the top of a hill each descent may move a single variable.
     for _ in range(len(at.y) + 1):
         curvatures, directions = known = _clear_curvatures(program, p, at) or curvatures_at(program, p, at)
-        if not curvatures.size or curvatures[0] >= -FLAT_CURVATURE:
+        if not curvatures.size or curvatures[0] >= -ZERO.curvature:
             return replace(at, curvatures=known)
-        step = _ASIDE * directions[:, 0] / np.max(np.abs(directions[:, 0]))
+        step = _ASIDE.step * directions[:, 0] / np.max(np.abs(directions[:, 0]))
         starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
         points = [program.solve(start, p, SolveOptions(near=True, exact=False, enough=True)) for start in starts]
         found = [point for point in points if point.solved and point.f < at.f]
@@ -211,7 +220,7 @@ def _free(program: Program, p: Vector, at: Point, rows: tuple[Vector, Vector] | 
     """Return the directions along which no active limit changes: see `curvatures_at`."""
     values, jacobian = rows or program.built.solver.requirements(at.y, p)
     margins, pulls = program.margins(values), np.abs(at.lam_g)
-    active = (margins < ACTIVE) | decides(margins, pulls)
+    active = (margins < ZERO.margin) | decides(margins, pulls)
     # A bound without a multiplier does not stop a move away from it.
     bounds = decides(np.minimum(at.y, 1.0 - at.y), np.abs(at.lam_y))
     return free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
@@ -237,31 +246,41 @@ def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> boo
     """Return whether the objective stays the same after a step along a direction."""
     leading = int(np.argmax(np.abs(direction)))
     for sign in (1.0, -1.0):
-        moved = at.y + sign * _ASIDE * direction / abs(direction[leading])
+        moved = at.y + sign * _ASIDE.step * direction / abs(direction[leading])
         if np.all((moved >= 0.0) & (moved <= 1.0)):
             there = program.solve(moved, p, SolveOptions(near=True), fixed=[leading])
-            return there.solved and abs(there.f - at.f) <= _FLAT_OBJECTIVE * max(1.0, abs(at.f))
+            return there.solved and abs(there.f - at.f) <= _ASIDE.flat * max(1.0, abs(at.f))
     return False
 
 
 Judge = Literal["tolerance", "bare"]
 """What optima are ranked by: the median objective over the tolerance box, or the objective itself."""
 
-# That quarter: near an objective of 0 a fraction of it would mean nothing.
-_SMALL_OBJECTIVE = 0.25
 
-BOX_DESIGNS = 64
-"""Number of designs sampled in a tolerance box."""
+class BoxSample(NamedTuple):
+    """The sample of a tolerance box."""
 
-_SEED = 64
-# Standard error of the median of 64 designs in units of the interquartile range: 1.25 sigma/sqrt(64) for a normal
-# distribution, whose interquartile range is 1.35 sigma.
-_MEDIAN_ERROR = 1.25 / np.sqrt(BOX_DESIGNS) / 1.35
+    designs: int = 64
+    seed: int = 64
+    # Of a solve over the box: most runs of all designs together, which then take seconds, and fewest designs.
+    most_runs: int = 64
+    fewest: int = 8
+
+    @property
+    def median_error(self) -> float:
+        """Standard error of the median in units of the interquartile range.
+
+        It is 1.25 sigma/sqrt(n) for a normal distribution, whose interquartile range is 1.35 sigma.
+        """
+        return float(1.25 / np.sqrt(self.designs) / 1.35)
+
+
+BOX = BoxSample()
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Objective and margins of a design within its tolerances, from a sample of `BOX_DESIGNS` designs.
+    """Objective and margins of a design within its tolerances, from a sample of 64 designs.
 
     Attributes:
         median: median objective of the designs that can be evaluated.
@@ -329,7 +348,7 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     best = int(np.argmin(median))
     broad = ~_too_high(landscape, median, own)
     with np.errstate(invalid="ignore"):
-        error = _MEDIAN_ERROR * np.where(np.isfinite(high), high - low, np.inf)
+        error = BOX.median_error * np.where(np.isfinite(high), high - low, np.inf)
         equal = broad & (median - median[best] <= 2.0 * np.hypot(error, error[best]))
     equal[best] = True
     return sorted(range(len(points)), key=lambda k: (not equal[k], own[k] if equal[k] else median[k]))
@@ -368,9 +387,9 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     landscape, y = _as_made(landscape), y[: landscape.dimensions]
     program = landscape.program
     n = len(program.declared.variables)
-    designs = boxes(program.declared.variables, y[None], np.vstack([unit_box(n), corners(n, BOX_DESIGNS)]))
+    designs = boxes(program.declared.variables, y[None], np.vstack([unit_box(n), corners(n, BOX.designs)]))
     _, f, g = landscape.rows_after_elimination(designs, finer=FINER)
-    everywhere, g_everywhere, f, g = np.isfinite(f), g, f[:BOX_DESIGNS], g[:BOX_DESIGNS]
+    everywhere, g_everywhere, f, g = np.isfinite(f), g, f[: BOX.designs], g[: BOX.designs]
     valid = np.isfinite(f)
     scale = landscape.objective_scale
     values = f[valid] * scale if np.any(valid) else np.array([objective])
@@ -385,7 +404,7 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
             r.name: float(margin * scale)
             for r, margin, scale in zip(program.declared.requirements, least, program.scales, strict=True)
         },
-        kept=float(np.mean(landscape.violations(g).sum(axis=1) <= FEASIBLE)),
+        kept=float(np.mean(landscape.violations(g).sum(axis=1) <= VIOLATION.allowed)),
         needle=bool(too_high[0] or 2 * np.sum(valid) < len(valid)),
     )
 
@@ -396,8 +415,7 @@ def _too_high(landscape: Landscape, median: Vector, own: Vector) -> NDArray[np.b
         everywhere = landscape.program.population(unit_box(landscape.dimensions), landscape.p)[0]
     sizes = np.abs(everywhere[np.isfinite(everywhere)]) / landscape.objective_scale
     typical = float(np.median(sizes)) if len(sizes) else 0.0
-    found: NDArray[np.bool_] = median - own > NEEDLE * np.maximum(np.abs(own), _SMALL_OBJECTIVE * typical)
-    return found
+    return np.asarray(median - own > BASINS.needle * np.maximum(np.abs(own), SMALL * typical))
 
 
 def corners(n: int, most: int) -> Vector:
@@ -410,4 +428,4 @@ def corners(n: int, most: int) -> Vector:
 @lru_cache(maxsize=16)
 def unit_box(n: int) -> Vector:
     """Return the designs sampled in the unit box, a row each. The first 2^k of them are evenly spread, too."""
-    return sobol_points(n, BOX_DESIGNS, np.random.default_rng(_SEED))
+    return sobol_points(n, BOX.designs, np.random.default_rng(BOX.seed))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -106,11 +106,9 @@ class Variable:
             InputError: the tolerance is neither a half width nor a percentage.
         """
         given = self.tolerance
-        number = _PER_CENT.fullmatch(given) if isinstance(given, str) else None
-        if number is not None:
+        part: Expression = 1.0
+        if isinstance(given, str) and (number := _PER_CENT.fullmatch(given)):
             given, part = float(number[1]), absolute(value) / 100.0
-        else:
-            part = 1.0
         # A NumPy float of few bytes could not be compared with the largest float.
         given = float(given) if isinstance(given, np.floating) else given
         is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
@@ -202,9 +200,9 @@ class Requirement:
         ]
         return " and ".join(parts)
 
-    def margin(self, values: NDArray[np.float64]) -> float:
-        """Return the distance of the worst value from its limit, positive inside the limits."""
-        return float(min(np.min(values - self.low), np.min(self.high - values)))
+    def margins(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the distance of each value from its limit, positive inside the limits."""
+        return np.minimum(values - self.low, self.high - values)
 
 
 @dataclass(frozen=True)
@@ -219,6 +217,14 @@ class Declarations:
     def symbols(self) -> list[ca.MX]:
         """Return the symbols of the variables, followed by those of the parameters."""
         return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
+
+    def expressions(self) -> list[ca.MX]:
+        """Return objective and requirements."""
+        return [self.objective, *(r.expression for r in self.requirements)]
+
+    def named(self, numbers: Iterable[float]) -> dict[str, float]:
+        """Return name -> number from a number for each variable; those added by the program are left out."""
+        return {v.name: float(x) for v, x in zip(self.variables, numbers, strict=True) if not v.auxiliary}
 
     def parameter_values(self, changed: Mapping[str, Any]) -> NDArray[np.float64]:
         """Return the values of all parameters.
@@ -273,8 +279,9 @@ class Declarations:
 
     def describe(self, values: NDArray[np.float64]) -> str:
         """Return the variables with certain values in words; those added by the program are left out."""
-        return ", ".join(
-            f"{v.name} = {in_words(float(x), v.unit)}"
-            for v, x in zip(self.variables, values, strict=True)
-            if not v.auxiliary
-        )
+        return values_in_words(self.named(values), {v.name: v.unit for v in self.variables})
+
+
+def values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Return values of variables with their units."""
+    return ", ".join(f"{name} = {in_words(value, units[name])}" for name, value in values.items())

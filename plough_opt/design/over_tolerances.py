@@ -9,25 +9,25 @@ an optimum for all of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Final, Literal
+from collections.abc import Hashable
+from dataclasses import replace
+from functools import cache
+from typing import Final, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign, NotConverged
 from plough_opt.core.expressions import Column
-from plough_opt.design.confirmation import BOX_DESIGNS, boxes, corners, unit_box
+from plough_opt.design.confirmation import BOX, boxes, corners, unit_box
 from plough_opt.design.declarations import Declarations, Requirement, Variable
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.nlp import split
-from plough_opt.design.model.program import Program
+from plough_opt.design.model.program import Program, cached
 from plough_opt.design.result.optimum import Optimum
-from plough_opt.design.result.sensitivity import Sensitivity, Solved
+from plough_opt.design.result.sensitivity import Solved
 from plough_opt.design.search.explore import silent
-from plough_opt.design.search.landscape import FEASIBLE, FINER, Landscape, evaluated_sample
+from plough_opt.design.search.landscape import FINER, VIOLATION, Landscape, evaluated_sample
 from plough_opt.design.solving import Known, Request, solve_program
 
 Over = Literal["mean", "worst"]
@@ -38,59 +38,22 @@ WORST = "worst objective\n"
 
 # The requirement that does so; sensitivities call its sides by this name.
 _BELOW_WORST: Final = "one of the worst designs within the tolerances\n"
-# Most runs of all designs in a box together: they take seconds for a whole solve.
-_MOST_RUNS_IN_BOX = 64
-# Fewest designs in a box.
-_FEWEST_IN_BOX = 8
-# Designs whose boxes are sampled to find bounds on the worst objective.
-_BOUNDING_SAMPLE = 256
-# The best of them, whose worst positions make the first program.
-_PROMISING = 8
-# The lower bound lies below the lowest sampled objective by this many times the sampled range. Bounds that prove too
-# narrow are extended by as much.
-_BELOW = 2.0
-# An optimum within this fraction of the range from the lower bound calls for a lower one.
-_AT_THE_BOUND = 1e-6
-# A position joins the program if its scaled objective or violation is worse than the program's own by more than this.
-_WORSE = 1e-10
 
 
-@dataclass(frozen=True)
-class _Box:
-    """The sample of a tolerance box.
+class _CuttingSets(NamedTuple):
+    """Bounds of the worst objective, and which positions join the program."""
 
-    Attributes:
-        unit: positions in the unit box, a row each: the sampled designs, then the corners.
-        count: number of the sampled designs; at the corners only the requirements must be met.
-    """
+    sample: int = 256  # designs whose boxes are sampled to find bounds
+    promising: int = 8  # the best of them, whose worst positions make the first program
+    # The lower bound lies below the lowest sampled objective by this many times the sampled range. Bounds that prove
+    # too narrow are extended by as much.
+    below: float = 2.0
+    at_bound: float = 1e-6  # An optimum within this fraction of the range from the lower bound calls for a lower one.
+    # A position joins if its scaled objective or violation is worse than the program's own by more than this.
+    worse: float = 1e-10
 
-    unit: Vector
-    count: int
 
-    @classmethod
-    def of(cls, declared: Declarations) -> _Box:
-        """Return the sample for a problem of the bare design."""
-        n, count = len(declared.variables), designs_per_box(declared)
-        return cls(np.vstack([unit_box(n)[:count], corners(n, count)]), count)
-
-    def rows(self, landscape: Landscape, points: Vector) -> tuple[Vector, Vector]:
-        """Return scaled objectives and violations in the boxes around scaled designs.
-
-        Args:
-            landscape: of the bare design, without eliminated variables.
-            points: the designs, a row each.
-
-        Returns:
-            Objectives, -inf at corners and inf where there is none, with a row for each design and a column for each
-            position; and the scaled violation of each requirement, negative if it is met, with a further axis.
-        """
-        with np.errstate(all="ignore"):
-            f, g = landscape.rows(boxes(landscape.program.declared.variables, points, self.unit), finer=FINER)
-            violation = -landscape.program.least_margins(g)
-        shape = len(points), len(self.unit)
-        f = np.where(np.isfinite(f), f, np.inf).reshape(shape)
-        f[:, self.count :] = -np.inf
-        return f, np.where(np.isfinite(violation), violation, np.inf).reshape(*shape, -1)
+_CUTS = _CuttingSets()
 
 
 class ToleranceBoxSolver:
@@ -101,18 +64,22 @@ class ToleranceBoxSolver:
         self._bare, self._over = bare, over
         # Requirements implied by theories are derived again, from the expressions of every design in the box.
         self._own = replace(bare.declared, requirements=bare.own_requirements)
-        self._box = _Box.of(self._own)
-        self._every = tuple(range(len(self._box.unit)))
+        # Positions in the unit box, a row each: sampled designs, then corners, at which only requirements must be met.
+        n, self._count = len(self._own.variables), designs_per_box(self._own)
+        self._unit = np.vstack([unit_box(n)[: self._count], corners(n, self._count)])
+        self._every = tuple(range(len(self._unit)))
         # The last program, with the parameters, the bounds of the worst objective and the positions it was built for.
-        self._built: tuple[object, Program] | None = None
+        self._built: dict[Hashable, Program] = {}
 
     def solve(self, request: Request) -> Optimum:
         """Return the best optimum."""
         if self._over == "mean":
             return solve_program(self._program(request.p, None, self._every), request)
         request.progress("sampling tolerances", 0.0)
-        bounds = bounds_on_worst(self._bare, request.p)
-        landscape = self._landscape(request.p)
+        bare = self._bare.at(request.p, any_guess=True)
+        # All designs in a box are made as they are: no variable is solved for again.
+        landscape = Landscape(bare, request.p, range(len(bare.declared.variables)))
+        bounds = bounds_on_worst(landscape)
         chosen, raised, asked = self._first_positions(landscape), False, request
         while True:
             try:
@@ -123,7 +90,7 @@ class ToleranceBoxSolver:
                 if above and not raised:
                     # The optimum is higher than the sample suggested.
                     reach = max(bounds[1] - bounds[0], conflicts[_BELOW_WORST])
-                    bounds, raised = (bounds[0], bounds[1] + _BELOW * reach), True
+                    bounds, raised = (bounds[0], bounds[1] + _CUTS.below * reach), True
                 elif chosen != self._every:
                     # Reasons are given for all positions.
                     chosen, request = self._every, asked
@@ -136,9 +103,9 @@ class ToleranceBoxSolver:
                 else:
                     raise
                 continue
-            if best.objective <= bounds[0] + _AT_THE_BOUND * (bounds[1] - bounds[0]):
+            if best.objective <= bounds[0] + _CUTS.at_bound * (bounds[1] - bounds[0]):
                 # The optimum is lower than the sample suggested: extend the range downwards and solve again.
-                bounds = bounds[0] - _BELOW * (bounds[1] - bounds[0]), bounds[1]
+                bounds = bounds[0] - _CUTS.below * (bounds[1] - bounds[0]), bounds[1]
             elif chosen == self._every:
                 return best
             elif best.status != "solved":
@@ -152,25 +119,40 @@ class ToleranceBoxSolver:
                     return self._with_whole_box(best, replace(request, known=known, progress=silent), bounds)
                 chosen, request = tuple(sorted({*chosen, *missing})), replace(request, known=known)
 
-    def _landscape(self, p: Vector) -> Landscape | None:
-        """Return the landscape of the bare design; None if its runs are integrated one by one."""
-        program = self._bare.at(p, any_guess=True)
-        # All designs in a box are made as they are: no variable is solved for again.
-        landscape = Landscape(program, p, range(len(program.declared.variables)))
-        return landscape if landscape.vectorised else None
+    def _first_positions(self, landscape: Landscape) -> tuple[int, ...]:
+        """Return the positions that are worst for the objective or a requirement in the boxes of promising designs.
 
-    def _first_positions(self, landscape: Landscape | None) -> tuple[int, ...]:
-        """Return the positions that are worst for the objective or a requirement in the boxes of promising designs."""
-        if landscape is None:
+        Those are all of them if the runs are integrated one by one.
+        """
+        if not landscape.vectorised:
             return self._every
-        sampled = evaluated_sample(landscape, _BOUNDING_SAMPLE)
-        best = np.argsort(sampled.merit, kind="stable")[:_PROMISING]
+        sampled = evaluated_sample(landscape, _CUTS.sample)
+        best = np.argsort(sampled.merit, kind="stable")[: _CUTS.promising]
         points = np.vstack([landscape.program.start()[None], sampled.points[best]])
-        f, violation = self._box.rows(landscape, points)
+        f, violation = self._rows(landscape, points)
         return tuple(sorted({*np.argmax(f, axis=1).tolist(), *np.argmax(violation, axis=1).ravel().tolist()}))
 
+    def _rows(self, landscape: Landscape, points: Vector) -> tuple[Vector, Vector]:
+        """Return scaled objectives and violations in the boxes around scaled designs.
+
+        Args:
+            landscape: of the bare design, without eliminated variables.
+            points: the designs, a row each.
+
+        Returns:
+            Objectives, -inf at corners and inf where there is none, with a row for each design and a column for each
+            position; and the scaled violation of each requirement, negative if it is met, with a further axis.
+        """
+        with np.errstate(all="ignore"):
+            f, g = landscape.rows(boxes(landscape.program.declared.variables, points, self._unit), finer=FINER)
+            violation = -landscape.program.least_margins(g)
+        shape = len(points), len(self._unit)
+        f = np.where(np.isfinite(f), f, np.inf).reshape(shape)
+        f[:, self._count :] = -np.inf
+        return f, np.where(np.isfinite(violation), violation, np.inf).reshape(*shape, -1)
+
     def _missing(
-        self, landscape: Landscape | None, best: Optimum, bounds: tuple[float, float], chosen: tuple[int, ...]
+        self, landscape: Landscape, best: Optimum, bounds: tuple[float, float], chosen: tuple[int, ...]
     ) -> tuple[Known, set[int]]:
         """Return the optima of a program as starts of the next one, and positions that turn out worse around them.
 
@@ -180,17 +162,15 @@ class ToleranceBoxSolver:
             bounds: of the worst objective.
             chosen: the positions.
         """
-        # Otherwise all positions are in the first program, and only a loaded optimum has no record.
-        assert landscape is not None
-        assert best.search is not None
+        assert best.search is not None  # only a loaded optimum has none
         variables = landscape.program.declared.variables
         points = np.array([[v.scaled(one.variables[v.name]) for v in variables] for one in best.local_optima])
-        f, violation = self._box.rows(landscape, points)
+        f, violation = self._rows(landscape, points)
         values = np.concatenate([f[:, :, None], violation], axis=2)
         worst, own = np.max(values, axis=1), np.max(values[:, chosen], axis=1)
-        missing = set(np.argmax(values, axis=1)[worst > own + _WORSE].tolist())
+        missing = set(np.argmax(values, axis=1)[worst > own + _CUTS.worse].tolist())
         if not missing:
-            made = boxes(variables, points[:1], self._box.unit)
+            made = boxes(variables, points[:1], self._unit)
             missing = {k for k in {*self._every} - {*chosen} if landscape.program.refuses(made[k], landscape.p)}
         heights = (worst[:, 0] * landscape.objective_scale - bounds[0]) / (bounds[1] - bounds[0])
         return Known(np.column_stack([points, np.clip(heights, 0.0, 1.0)]), best.search), missing
@@ -198,54 +178,30 @@ class ToleranceBoxSolver:
     def _with_whole_box(self, best: Optimum, request: Request, bounds: tuple[float, float]) -> Optimum:
         """Return an optimum whose sensitivities and catalogue choices account for all positions."""
 
+        @cache
         def whole() -> Solved:
             again = solve_program(self._program(request.p, bounds, self._every), request)
             assert again.solved is not None  # only a loaded optimum has none
             return again.solved
 
-        assert best.solved is not None
-        return replace(best, solved=_SolvedForSome(best.solved, whole))
+        own = best.solved
+        assert own is not None
+        return replace(best, solved=Solved(own.program, own.p, own.point, whole=whole))
 
     def _program(self, p: Vector, bounds: tuple[float, float] | None, chosen: tuple[int, ...]) -> Program:
         key = None if bounds is None else (p.tobytes(), bounds, chosen)
-        if self._built is None or self._built[0] != key:
-            over = (
-                f"the objective is the {self._over} of {self._box.count} designs within the tolerances, all of which"
-                " meet the requirements"
-            )
-            if self._own.requirements:
-                over += f", as do {len(self._box.unit) - self._box.count} corners of the box"
-            objectives = sum(k < self._box.count for k in chosen)
-            declared = over_box(self._own, self._box.unit[list(chosen)], objectives, bounds)
-            self._built = (
-                key,
-                Program.of(declared, compiled=self._bare.compiled, bare=self._bare, over=over, ipopt=self._bare.ipopt),
-            )
-        return self._built[1]
+        return cached(self._built, key, lambda: self._written(bounds, chosen))
 
-
-class _SolvedForSome(Solved):
-    """An optimum of a program of some positions, solved for all of them where others may begin to decide."""
-
-    def __init__(self, own: Solved, whole: Callable[[], Solved]) -> None:
-        super().__init__(own.program, own.p, own.point, rounder=self._rounded)
-        self._solve = whole
-
-    @cached_property
-    def _whole(self) -> Solved:
-        return self._solve()
-
-    def _rounded(self, _own: Solved, catalogues: Any) -> Any:
-        assert self._whole.rounder is not None  # only rounded optima have none
-        return self._whole.rounder(self._whole, catalogues)
-
-    def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
-        """Return the sensitivity to a parameter or a limit, with all positions."""
-        return self._whole.sensitivity(name, check=check)
-
-    def every(self) -> tuple[Sensitivity, ...]:
-        """Return the sensitivities to all parameters that matter and all limits that decide, with all positions."""
-        return self._whole.every()
+    def _written(self, bounds: tuple[float, float] | None, chosen: tuple[int, ...]) -> Program:
+        over = (
+            f"the objective is the {self._over} of {self._count} designs within the tolerances, all of which meet the"
+            " requirements"
+        )
+        if self._own.requirements:
+            over += f", as do {len(self._unit) - self._count} corners of the box"
+        bare, objectives = self._bare, sum(k < self._count for k in chosen)
+        declared = over_box(self._own, self._unit[list(chosen)], objectives, bounds)
+        return Program.of(declared, compiled=bare.compiled, bare=bare, over=over, ipopt=bare.ipopt)
 
 
 def over_box(declared: Declarations, positions: Vector, count: int, bounds: tuple[float, float] | None) -> Declarations:
@@ -261,13 +217,12 @@ def over_box(declared: Declarations, positions: Vector, count: int, bounds: tupl
         bounds: of their worst objective, which is minimised; None to minimise their mean.
     """
     symbols = [v.symbol for v in declared.variables]
-    expressions = [declared.objective, *(r.expression for r in declared.requirements)]
     found = []
     for position in positions:
         within: list[Column] = [
             v.within_tolerance(v.symbol, float(part)) for v, part in zip(declared.variables, position, strict=True)
         ]
-        found.append(ca.graph_substitute(expressions, symbols, within))
+        found.append(ca.graph_substitute(declared.expressions(), symbols, within))
     objectives = ca.vertcat(*(objective for objective, *_ in found[:count]))
     columns = [ca.vertcat(*column) for column in [*zip(*found, strict=True)][1:]]
     everywhere = [replace(r, expression=column) for r, column in zip(declared.requirements, columns, strict=True)]
@@ -283,28 +238,25 @@ def over_box(declared: Declarations, positions: Vector, count: int, bounds: tupl
 
 def designs_per_box(declared: Declarations) -> int:
     """Return the number of designs sampled in a box: fewer if a design has several runs, or runs that take long."""
-    parts = split([declared.objective, *(r.expression for r in declared.requirements)], declared.symbols())
+    parts = split(declared.expressions(), declared.symbols())
     runs = max(1, len(parts.runs))
     if not all(run.integration.structure.stepped for run in parts.runs):
-        return _FEWEST_IN_BOX
-    return max(_FEWEST_IN_BOX, min(BOX_DESIGNS, 1 << int(math.log2(max(1, _MOST_RUNS_IN_BOX // runs)))))
+        return BOX.fewest
+    return max(BOX.fewest, min(BOX.designs, 1 << int(math.log2(max(1, BOX.most_runs // runs)))))
 
 
-def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
+def bounds_on_worst(made: Landscape) -> tuple[float, float]:
     """Return bounds on the lowest possible worst objective over a tolerance box, estimated from a sample.
 
     Args:
-        program: of the bare design.
-        p: parameters.
+        made: landscape of the bare design, in which no variable is solved for.
     """
-    landscape = Landscape(program.at(p, any_guess=True), p)
-    sampled = evaluated_sample(landscape, _BOUNDING_SAMPLE if landscape.vectorised else _FEWEST_IN_BOX)
+    landscape = Landscape(made.program, made.p)
+    sampled = evaluated_sample(landscape, _CUTS.sample if landscape.vectorised else BOX.fewest)
     valid = np.flatnonzero(np.isfinite(sampled.f))
-    # All designs in a box are made as they are: no variable is solved for again.
-    made = Landscape(landscape.program, p, range(landscape.dimensions))
-    inside = made(boxes(program.declared.variables, sampled.points[valid]))
-    worst, violation = (part.reshape(-1, BOX_DESIGNS).max(axis=1) for part in (inside.f, inside.violation))
-    feasible = np.isfinite(worst) & (violation <= FEASIBLE)
+    inside = made(boxes(made.program.declared.variables, sampled.points[valid]))
+    worst, violation = (part.reshape(-1, BOX.designs).max(axis=1) for part in (inside.f, inside.violation))
+    feasible = np.isfinite(worst) & (violation <= VIOLATION.allowed)
     if np.any(feasible):
         high = float(worst[feasible].min())
     else:
@@ -312,4 +264,4 @@ def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
     low = float(np.min(sampled.f[valid], initial=high))
     # The range must not be empty, even for a constant objective.
     reach = max(high - low, abs(high), 1e-6)
-    return (low - _BELOW * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale
+    return (low - _CUTS.below * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,13 +33,23 @@ from plough_opt.design.search.landscape import Evaluations, Landscape
 from plough_opt.design.search.local import AS_FOUND, descend, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
 
-# Basins that IPOPT optimises in each round of the search: with few variables, and with more.
-_MOST_POLISHED_OF_FEW = 8
-_MOST_POLISHED_OF_MANY = 3
-# The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
-_LEAST_SCALE = 1e-4
-# Optima count as the same if no scaled variable differs by this much.
-_SAME_OPTIMUM = 1e-4
+
+class _Optima(NamedTuple):
+    """Which basins IPOPT optimises, and which of the optima count."""
+
+    most_of_few: int = 8  # basins for each round of the search, with few variables
+    most_of_many: int = 3  # with more
+    # The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
+    least_scale: float = 1e-4
+    same: float = 1e-4  # Optima count as the same if no scaled variable differs by this much.
+
+
+_OPTIMA = _Optima()
+
+_LEFT_OUT = (
+    "the search left out {}: there may be a better design; search='thorough', a number of designs or a time such as"
+    " '5 min' has no such limit"
+)
 
 
 @dataclass(frozen=True)
@@ -134,7 +145,7 @@ class _Solve:
             search=record,
             seconds=time.perf_counter() - self._request.started,
             warnings=(
-                *limit.warnings(),
+                *limit.warnings(_LEFT_OUT),
                 *accuracy_warnings,
                 *remarks(record.objective, best, optima[0], program.ipopt),
                 *warnings,
@@ -149,13 +160,13 @@ class _Solve:
         effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
         known = landscape, start, vary, self._criterion, effort, self._progress, request.seed
         explored = Explorer(*known, limit=request.limit).explore()
-        if not len(explored.minima.f) and explored.least_violating is None:
+        if not len(explored.minima.f) and not len(explored.least_violating.f):
             raise NotConverged(
                 f"none of {landscape.designs_tried} designs between the bounds has a value, with"
                 f" {program.declared.ranges()}: tighten the bounds, or shorten the duration",
                 "no value",
             )
-        size = len(vary), effort.rounds, _LEAST_SCALE * float(np.nanmedian(np.abs(explored.sample.f)))
+        size = len(vary), effort.rounds, _OPTIMA.least_scale * float(np.nanmedian(np.abs(explored.sample.f)))
         minima, points = explored.minima, []
         if np.any(minima.feasible) or not required:
             points = self._optima(minima, *size)
@@ -178,7 +189,7 @@ class _Solve:
     def _from_known(self, known: Vector) -> list[Point]:
         """Return the local optima near designs that are known to be nearly optimal."""
         minima = self._landscape(known)
-        points = self._optima(minima, 0, len(known), _LEAST_SCALE * float(np.nanmedian(np.abs(minima.f))))
+        points = self._optima(minima, 0, len(known), _OPTIMA.least_scale * float(np.nanmedian(np.abs(minima.f))))
         if not points:
             raise NotConverged("no optimum lies near the designs that are known to be nearly optimal", "no optimum")
         return points
@@ -203,7 +214,7 @@ class _Solve:
                 break
             self._progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
             point = polished(program, p, minima.points[k], self._request.limit)
-            if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME_OPTIMUM for other in points):
+            if point.solved and not any(np.max(np.abs(point.y - other.y)) < _OPTIMA.same for other in points):
                 points.append(point)
         return points
 
@@ -217,8 +228,8 @@ class _Solve:
         """
         program, landscape, request = self._program, self._landscape, self._request
         variables = program.declared.variables
-        own, none = [k for k, v in enumerate(variables) if not v.auxiliary], np.empty(0)
-        sample = explored.sample if explored else Evaluations(np.empty((0, len(variables))), none, none)
+        own = [k for k, v in enumerate(variables) if not v.auxiliary]
+        sample = explored.sample if explored else Evaluations.none(len(variables))
         return SearchRecord(
             asked=str(request.search),
             variables=tuple(variables[k].name for k in vary if k in own),
@@ -241,9 +252,9 @@ def _basins_that_can_win(criterion: Vector, few_variables: bool, rounds: int) ->
     """Return the numbers of the basins to optimise, best first."""
     order = np.argsort(criterion, kind="stable")
     if few_variables:
-        return [int(k) for k in order[: _MOST_POLISHED_OF_FEW * rounds]]
+        return [int(k) for k in order[: _OPTIMA.most_of_few * rounds]]
     limit = criterion[order[0]] + CAN_WIN * abs(criterion[order[0]])
-    return [int(k) for k in order if criterion[k] <= limit][: _MOST_POLISHED_OF_MANY * rounds]
+    return [int(k) for k in order if criterion[k] <= limit][: _OPTIMA.most_of_many * rounds]
 
 
 def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:
@@ -252,4 +263,4 @@ def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, fl
     # At a bound only one sense of the direction stays inside.
     ends = [np.clip(point.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
     change = program.values(max(ends, key=lambda end: float(np.sum(np.abs(end - point.y))))) - program.values(point.y)
-    return {v.name: float(x) for v, x in zip(program.declared.variables, change, strict=True) if not v.auxiliary}
+    return program.declared.named(change)

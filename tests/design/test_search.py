@@ -214,7 +214,8 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1, s
     monkeypatch.setattr(program, "build_nlp", build_nlp)
     # Quadratic programs find the optimum. Without time to solve it again, it is evaluated by the finer steps.
     monkeypatch.setitem(ipopt.FROM_BOTTOM, "ipopt.max_cpu_time", seconds)
-    monkeypatch.setattr(tight_integration, "_PHASE_PER_STEP", 2.5)
+    coarse = tight_integration.STEPS._replace(phase_per_step=2.5)
+    monkeypatch.setattr(tight_integration, "STEPS", coarse)
     # The tolerance on derivatives is loose, because they would demand more steps at the start already.
     best = build_r1(accuracy=po.Accuracy(derivatives=0.1)).design.solve()
     steps = [call.args[3][0] for call in build_nlp.call_args_list]
@@ -226,13 +227,15 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1, s
 
 
 # With the fewest steps the optimiser's objective has no value.
-LIMITS = [(confirmation, "_MOST_REFINEMENTS", 0), *((tight_integration, "_MOST_STEPS", most) for most in (60, 24))]
+LIMITS = [{"refinements": 0}, {"steps": 60}, {"steps": 24}]
 
 
 @pytest.mark.parametrize("limit", LIMITS)
 def test_steps_that_stay_too_coarse_are_reported(monkeypatch, build_r1, limit):
-    monkeypatch.setattr(tight_integration, "_PHASE_PER_STEP", 40.0)
-    monkeypatch.setattr(*limit)
+    coarse = tight_integration.STEPS._replace(phase_per_step=40.0, most=limit.get("steps", 50_000))
+    monkeypatch.setattr(tight_integration, "STEPS", coarse)
+    few = confirmation._REFINEMENTS._replace(most=limit.get("refinements", 4))
+    monkeypatch.setattr(confirmation, "_REFINEMENTS", few)
     best = build_r1().design.solve(search="local")
     assert not best.gap <= 1e-8
     assert any("was not reached" in warning for warning in best.warnings)
@@ -574,3 +577,13 @@ def test_designs_that_oscillate_too_fast_do_not_spoil_their_neighbours():
     d.minimise(po.simulate(scene, 200.0, outputs=10).force_rms / 1e3)
     # The stiffest designs take more steps than a search integrates, and have no value in it.
     assert d.solve(search=16).variables["stiffness"] == pytest.approx(1e4, rel=1e-12)
+
+
+@pytest.mark.parametrize("search", ["auto", "near"])
+def test_the_nearest_design_of_an_infeasible_question_has_a_value(search):
+    d, x, _ = design(x=(0.9, 0.0, 1.0), y=(0.9, -1.0, 1.0))
+    d.minimise(3.0 + ca.log(x - 0.5))  # no value below 0.5, where the requirement could be met
+    d.require("left", x, at_most=0.3)
+    # A descent stops next to the place where the values end.
+    with pytest.raises(po.InfeasibleDesign, match=r"'left'.*fails by 0\.20*\d{0,3}; no variable of this design"):
+        d.solve(search=search)

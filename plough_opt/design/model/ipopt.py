@@ -124,21 +124,6 @@ class Point:
     iterations: int
     curvatures: tuple[Vector, Vector] | None = None
 
-    @classmethod
-    def of(cls, result: dict[str, ca.DM], stats: dict[str, Any], enough: bool = False) -> Point:
-        """Return the point of a result and the statistics of CasADi's interface to IPOPT.
-
-        Args:
-            result: the solver's outputs by name.
-            stats: its statistics.
-            enough: as in `SolveOptions`: whether an acceptable point counts as solved.
-        """
-        y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
-        status = stats["return_status"]
-        ends = ("Solve_Succeeded", "Solved_To_Acceptable_Level") if enough else ("Solve_Succeeded",)
-        solved = status in ends and bool(np.all(np.isfinite(y)))
-        return cls(solved, status, y, float(result["f"]), lam_g, lam_y, int(stats["iter_count"]))
-
 
 class LastPoint:
     """A cache of the values and slopes at the last point that IPOPT evaluated.
@@ -174,9 +159,9 @@ class LastPoint:
 class _Cached(ca.Callback):
     """The values, or the slopes, of a `LastPoint` as a Function that CasADi can call."""
 
-    def __init__(self, last: LastPoint, function: ca.Function, *, sloping: bool) -> None:
+    def __init__(self, last: LastPoint, nlp: Nlp, *, sloping: bool) -> None:
         ca.Callback.__init__(self)
-        self._last, self._function, self._sloping = last, function, sloping
+        self._last, self._function, self._sloping = last, nlp.slopes if sloping else nlp.values, sloping
         self.construct("slopes" if sloping else "values", {})
 
     def get_n_in(self) -> int:
@@ -212,10 +197,7 @@ class Solver:
         """Prepare to solve a program with lower and upper limits of its requirements, and further options of IPOPT."""
         self._nlp, self._last = nlp, LastPoint(nlp)
         # CasADi does not keep a Callback alive.
-        self._callbacks = (
-            _Cached(self._last, nlp.values, sloping=False),
-            _Cached(self._last, nlp.slopes, sloping=True),
-        )
+        self._callbacks = _Cached(self._last, nlp, sloping=False), _Cached(self._last, nlp, sloping=True)
         parts = ipopt_functions(*self._callbacks)
         y, p = nlp.values.mx_in()
         self._problem = {"x": y, "p": p, "f": parts["f"](y, p), "g": parts["g"](y, p)}
@@ -259,19 +241,19 @@ class Solver:
         if self._last.interrupted:
             self._last.interrupted = False
             raise KeyboardInterrupt
-        point = Point.of(result, solver.stats(), enough)
-        outcome = point.status, point.iterations, point.f
-        _LOG.debug("IPOPT from %s: %s in %d iterations, scaled objective %.9g", begin, *outcome)
-        return point
+        y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
+        stats, f = solver.stats(), float(result["f"])
+        status, iterations = stats["return_status"], int(stats["iter_count"])
+        ends = ("Solve_Succeeded", "Solved_To_Acceptable_Level") if enough else ("Solve_Succeeded",)
+        solved = status in ends and bool(np.all(np.isfinite(y)))
+        _LOG.debug("IPOPT from %s: %s in %d iterations, scaled objective %.9g", begin, status, iterations, f)
+        return Point(solved, status, y, f, lam_g, lam_y, iterations)
 
     def _solver(self, begin: str, exact: bool, enough: bool) -> ca.Function:
         kind = begin, exact, enough
         if kind not in self._solvers:
             options = OPTIONS | self._derivatives | _SETTINGS_BY_START[begin] | (_STOP_EARLY if enough else {})
-            if exact:
-                options["hess_lag"] = self._nlp.hess_lag
-            else:
-                options |= _QUASI_NEWTON
+            options |= {"hess_lag": self._nlp.hess_lag} if exact else _QUASI_NEWTON
             options |= self._options
             self._solvers[kind] = ca.nlpsol("design", "ipopt", self._problem, options)
         return self._solvers[kind]

@@ -664,12 +664,16 @@ def relaxed(nlp: Nlp, owner: Sequence[int]) -> Nlp:
     own, p = nlp.values.mx_in()
     x = ca.MX.sym("x", own.numel() + 2 * count)
     y, slack = ca.vertsplit(x, [0, own.numel(), x.numel()])
-    f, loose = ca.sum1(slack), ca.mtimes(slack_rows, slack)
+    loose = ca.mtimes(slack_rows, slack)
+
+    def values(objective: ca.MX, g: ca.MX) -> list[ca.MX]:
+        # A design without an objective has no value here either, so that IPOPT turns back from it.
+        return [ca.sum1(slack) + ca.if_else(ca.fabs(objective) < np.inf, 0.0, np.nan), g + loose]
 
     def build_slopes() -> ca.Function:
-        _, g, _, jacobian = nlp.slopes(y, p)
+        objective, g, _, jacobian = nlp.slopes(y, p)
         gradient = ca.DM(np.r_[np.zeros(own.numel()), np.ones(2 * count)])
-        return ca.Function("slopes", [x, p], [f, g + loose, gradient, ca.horzcat(jacobian, slack_rows)])
+        return ca.Function("slopes", [x, p], [*values(objective, g), gradient, ca.horzcat(jacobian, slack_rows)])
 
     def build_hessian() -> ca.Function:
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(owner))
@@ -677,7 +681,7 @@ def relaxed(nlp: Nlp, owner: Sequence[int]) -> Nlp:
             x, p, lam_f, lam_g, ca.diagcat(nlp.hess_lag(y, p, 0.0, lam_g), ca.MX(2 * count, 2 * count))
         )
 
-    return Nlp(ca.Function("values", [x, p], [f, nlp.values(y, p)[1] + loose]), build_slopes, build_hessian)
+    return Nlp(ca.Function("values", [x, p], values(*nlp.values(y, p))), build_slopes, build_hessian)
 
 
 def first_slack(g: Vector, limits: tuple[Vector, Vector], owner: Sequence[int]) -> Vector:

@@ -6,28 +6,32 @@ Hessian of the Lagrangian f + lam_g' g curves upwards along every direction that
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.design.model.ipopt import Point, Vector
 
-PULLS = 1e-7
-"""Scaled multipliers below this count as zero."""
 
-FLAT_CURVATURE = 1e-7
-"""A direction may be flat if its curvature is below this part of the largest: then the optimum has no derivative."""
+class Zero(NamedTuple):
+    """Sizes below which a part of the optimality conditions of a scaled design counts as zero."""
 
-# A scaled variable within this distance of a bound counts as lying on it.
-_AT_BOUND = 1e-9
-# Singular values below this, relative to the largest, show that rows are linearly dependent.
-_INDEPENDENT = 1e-9
+    multiplier: float = 1e-7
+    margin: float = 1e-7  # of a limit, which then is active
+    # Of the curvature along a direction, as a part of the largest: the optimum may then have no derivative.
+    curvature: float = 1e-7
+    distance: float = 1e-9  # of a variable from its bound, on which it then lies
+    # Of a singular value, relative to the largest or of rows of length 1, which then are linearly dependent.
+    rank: float = 1e-9
+
+
+ZERO = Zero()
 
 
 def decides(margin: Any, pull: Any) -> Any:
     """Return whether a limit is active, from its scaled margin and multiplier: at an optimum one of them vanishes."""
-    return (pull > PULLS) & (pull > margin)
+    return (pull > ZERO.multiplier) & (pull > margin)
 
 
 def lowest_dips(margins: Vector, most: int) -> NDArray[np.intp]:
@@ -46,7 +50,7 @@ def free_directions(rows: Vector) -> Vector:
     if not len(rows):
         return np.eye(rows.shape[1])
     _, sizes, right = np.linalg.svd(rows)
-    return np.asarray(right[int(np.sum(sizes > _INDEPENDENT * max(1.0, sizes[0]))) :].T)
+    return np.asarray(right[int(np.sum(sizes > ZERO.rank * max(1.0, sizes[0]))) :].T)
 
 
 def independent(rows: Vector, least: float) -> bool:
@@ -95,7 +99,7 @@ def newton_step(
 
 def without_rounding(y: Vector, lam_y: Vector) -> Vector:
     """Return the multipliers of bounds, set to 0 for variables that lie on neither bound."""
-    return np.where((y > _AT_BOUND) & (y < 1.0 - _AT_BOUND), 0.0, lam_y)
+    return np.where((y > ZERO.distance) & (y < 1.0 - ZERO.distance), 0.0, lam_y)
 
 
 def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vector, Vector]) -> float:
@@ -120,18 +124,26 @@ def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vect
     return float(max(np.max(np.abs(slope)), products) / max(1.0, np.max(np.abs(multipliers))) + violation)
 
 
-# Distance left by the least-distance problem below which the limits contradict each other.
-_INFEASIBLE = 1e-13
-# Smaller curvatures are raised to this, or to this part of the largest if that is below 1, so that a quadratic program
-# is strictly convex.
-_LEAST_CURVATURE = 1e-4
+class _QuadraticProgram(NamedTuple):
+    """Bounds of a quadratic program: of its curvatures, and of what it takes for contradictory limits."""
+
+    # Smaller curvatures are raised to this, or to this part of the largest if that is below 1, so that the program is
+    # strictly convex.
+    least_curvature: float = 1e-4
+    # Of the slacks: far below the weight of a violation, so that hardly any slack is left where none is needed.
+    slack_curvature: float = 1e-2
+    # Distance left by the least-distance problem below which the limits contradict each other.
+    infeasible: float = 1e-13
+
+
+_QUADRATIC = _QuadraticProgram()
 
 
 def made_convex(hessian: Vector) -> Vector:
     """Return a Hessian with every eigenvalue replaced by its absolute value, or a least curvature if that is larger."""
     sizes, directions = np.linalg.eigh(hessian)
     sizes = np.abs(sizes)
-    least = max(_LEAST_CURVATURE * min(1.0, float(np.max(sizes))), np.finfo(float).eps)
+    least = max(_QUADRATIC.least_curvature * min(1.0, float(np.max(sizes))), np.finfo(float).eps)
     return np.asarray((directions * np.maximum(sizes, least)) @ directions.T)
 
 
@@ -206,7 +218,7 @@ def quadratic_program(
     target = np.zeros(len(system))
     target[-1] = 1.0
     weights, distance = nnls(system, target)
-    if distance < _INFEASIBLE:
+    if distance < _QUADRATIC.infeasible:
         return None
     # Positive weights mark the active limits; with these the step follows to rounding.
     active = np.flatnonzero(weights)
@@ -248,10 +260,6 @@ def optimum_step(
     return step, multipliers[: len(g)], multipliers[len(g) :]
 
 
-# Curvature of the slacks: far below the weight of a violation, so that hardly any slack is left where none is needed.
-_SLACK_CURVATURE = 1e-2
-
-
 def relaxed_step(
     curvature: Vector,
     y: Vector,
@@ -274,7 +282,7 @@ def relaxed_step(
     """
     (g, gradient, jacobian), n, count = at, len(y), int(np.max(owner, initial=-1)) + 1
     gives, unlimited = np.eye(count)[owner], np.full(len(g), np.inf)
-    whole = np.diag(np.full(n + count, _SLACK_CURVATURE))
+    whole = np.diag(np.full(n + count, _QUADRATIC.slack_curvature))
     whole[:n, :n] = curvature
     found = optimum_step(
         whole,

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -25,6 +25,7 @@ from plough_opt.design.model.tight_integration import (
     corners,
     rough_steps,
     steps_at,
+    steps_factor,
     values_at_guess,
 )
 from plough_opt.motion.methods import DEFAULT_ERROR
@@ -36,23 +37,15 @@ class BuiltProgram:
     """A program with certain numbers of integration steps; its solvers are built when first needed.
 
     Attributes:
+        program: the scaled program.
         steps: for each run, the number of steps, or None for the method it was written with.
-        rough_steps: the same for the rough program.
         write: builds the program from numbers of steps.
-        owner: for each row of the requirements, the number of its requirement.
-        limits: scaled lower and upper limits of the rows.
-        compiled: whether to translate the program into machine code.
-        ipopt: options of IPOPT that the user gave, with the prefix of CasADi.
         errors: cache of the errors of derivatives, by scaled design and parameters.
     """
 
+    program: Program
     steps: list[int | None]
-    rough_steps: list[int | None]
     write: Callable[[list[int | None]], Nlp]
-    owner: Sequence[int]
-    limits: tuple[Vector, Vector]
-    compiled: bool
-    ipopt: dict[str, Any]
     errors: dict[Hashable, float] = field(default_factory=dict)
 
     @cached_property
@@ -62,40 +55,40 @@ class BuiltProgram:
 
     @cached_property
     def nlp(self) -> Nlp:
-        """The program, in machine code if ``compiled`` and if there is a compiler."""
-        return (as_machine_code(self.plain) if self.compiled else None) or self.plain
+        """The program, in machine code if that is wanted and if there is a compiler."""
+        return (as_machine_code(self.plain) if self.program.compiled else None) or self.plain
 
     @cached_property
     def rough(self) -> Nlp:
         """The program with two fifths of the steps, enough to tell the sign of the Lagrangian's curvatures."""
-        return self.write(self.rough_steps)
+        return self.write(rough_steps(self.program.exact, self.steps))
 
     @cached_property
     def solver(self) -> Solver:
         """IPOPT on the program."""
-        return Solver(self.nlp, *self.limits, self.ipopt)
+        return self._solver_of(self.nlp)
 
     @cached_property
     def relaxed(self) -> Solver:
         """IPOPT on the sum of the requirements' violations."""
-        return Solver(relaxed(self.nlp, self.owner), *self.limits, self.ipopt)
+        return self._solver_of(relaxed(self.nlp, self.program.owner))
+
+    def _solver_of(self, nlp: Nlp) -> Solver:
+        return Solver(nlp, self.program.low, self.program.high, self.program.ipopt)
 
 
-# An error e times too large takes e to this power times as many steps: the method has order 8.
-_STEPS_EXPONENT = 0.125
-# Largest factor on the number of steps in one refinement.
-_MOST_STEPS_FACTOR = 3.0
+class _Scaling(NamedTuple):
+    """Bounds of the scales, and of the sample whose medians set them if the guess has no value."""
+
+    smallest: float = 1e-12  # size that an objective or a requirement is taken to have at least
+    # Sizes of the sample; the larger one is tried if no design of the smaller one has a value.
+    samples: tuple[int, ...] = (256, 4096)
+    seed: int = 256
 
 
-# An objective or requirement is scaled as if it had at least this size.
-_SMALLEST_SCALE = 1e-12
+_SCALING = _Scaling()
 # Built programs that are cached, for different numbers of steps or scales.
 _MOST_PROGRAMS = 6
-# Size and seed of the sample whose medians set the scales if the guess has no value.
-_SCALING_SAMPLE = 256
-_SCALING_SEED = 256
-# Size of the sample in which at least one design must have a value.
-_LARGE_SCALING_SAMPLE = 4096
 
 Cached = TypeVar("Cached")
 
@@ -189,11 +182,11 @@ class Program:
         """
         _refuse_undeclared(declared)
         own = declared.requirements
-        exact = TightEvaluation(_expressions(declared), declared.symbols())
+        exact = TightEvaluation(declared.expressions(), declared.symbols())
         if exact.limits:
             implied = (Requirement(*limit, inside=INSIDE) for limit in exact.limits)
             declared = replace(declared, requirements=(*own, *implied))
-            exact = TightEvaluation(_expressions(declared), declared.symbols(), shared=exact)
+            exact = TightEvaluation(declared.expressions(), declared.symbols(), shared=exact)
         if any(run.integration.accuracy.method == "idas" for run in exact.runs):
             raise InputError(
                 "method 'idas' has no second derivatives, which a design needs: use 'auto', 'erk' or 'cvodes'"
@@ -222,9 +215,7 @@ class Program:
         """Return objective and requirements by tight integration, and again by the method that checks it."""
         numbers = [*self.values(y), *p]
         at = y.tobytes(), p.tobytes()
-        return _cached(
-            self._caches.exact_values, at, 1, lambda: (self._exact(numbers), self._exact(numbers, check=True))
-        )
+        return cached(self._caches.exact_values, at, lambda: (self._exact(numbers), self._exact(numbers, check=True)))
 
     def _exact(self, numbers: list[float], *, check: bool = False) -> list[Vector]:
         """Return objective and requirements; where a variable bounds the worst objectives, the worst itself."""
@@ -235,8 +226,7 @@ class Program:
     @cached_property
     def first_rows(self) -> list[int]:
         """Number of each requirement's first row."""
-        first: list[int] = np.flatnonzero(np.diff(np.array(self.owner, dtype=int), prepend=-1)).tolist()
-        return first
+        return [int(k) for k in np.flatnonzero(np.diff(np.array(self.owner, dtype=int), prepend=-1))]
 
     def margins(self, g: Vector) -> Vector:
         """Return the scaled distance of each row of the requirements from its limit, positive inside."""
@@ -274,7 +264,7 @@ class Program:
             check_bounds(own.declared, own.exact, p)
         try:
             implied = self.declared.requirements[len(self.own_requirements) :]
-            values = _cached(cache, key, 1, lambda: values_at_guess(self.declared, self.exact, implied, p))
+            values = cached(cache, key, lambda: values_at_guess(self.declared, self.exact, implied, p))
         except InputError as error:
             if not any_guess:
                 raise
@@ -294,36 +284,28 @@ class Program:
         """
         if self._scaled_at != p.tobytes():
             return self.at(p).with_steps(p, refinement, starts)
-        variables = self.declared.variables
-        if starts is None:
-            ends = (values for _, values in corners(self.declared))
-            starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in ends]
-        steps = steps_at(self.exact, [[*self.values(y), *p] for y in starts], refinement)
+        designs = [at for _, at in corners(self.declared)] if starts is None else map(self.values, starts)
+        steps = steps_at(self.exact, [[*values, *p] for values in designs], refinement)
         key = (*steps, self.objective_scale, *self.scales)
-        built = _cached(self._caches.built, key, _MOST_PROGRAMS, lambda: self._write(steps))
+        built = cached(self._caches.built, key, lambda: self._write(steps), _MOST_PROGRAMS)
         return replace(self, refinement=refinement, checked=None, _built=built)
 
     def _write(self, steps: list[int | None]) -> BuiltProgram:
         """Return the program with certain numbers of steps."""
         key = (self.objective_scale, *self.scales)
         y, p = self._y, self._p
-        parts = _cached(self._caches.parts, key, 1, lambda: split(self.scaled(y, p), [y, p]))
+        parts = cached(self._caches.parts, key, lambda: split(self.scaled(y, p), [y, p]))
         # A program that is translated as a whole cannot call machine code.
         by_code = math.inf if self.compiled else 1 if self.many_slopes else MANY_RUNS
-        write = partial(build_nlp, parts, y, p, by_code=by_code)
-        limits = self.low, self.high
-        return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled, self.ipopt)
+        # The scaled program alone: what is built must not refer to the cache that it is kept in.
+        scaled = replace(self, checked=None, _built=None, _caches=_Caches())
+        return BuiltProgram(scaled, steps, partial(build_nlp, parts, y, p, by_code=by_code))
 
     def linear_variables(self, p: Vector) -> list[LinearVariable]:
-        """Return the variables that follow from the others by algebra: see `plough_opt.design.population`."""
-        declared = self.declared
-        symbols = [own.symbol for own in declared.parameters]
-        return _cached(
-            self._caches.linear,
-            p.tobytes(),
-            1,
-            lambda: linear_variables(self.exact.parts, declared.variables, symbols, p),
-        )
+        """Return the variables that follow from the others by algebra: see `plough_opt.design.model.population`."""
+        symbols = [own.symbol for own in self.declared.parameters]
+        find = partial(linear_variables, self.exact.parts, self.declared.variables, symbols, p)
+        return cached(self._caches.linear, p.tobytes(), find)
 
     @property
     def built(self) -> BuiltProgram:
@@ -339,10 +321,10 @@ class Program:
     @property
     def population(self) -> Population:
         """Evaluates objective and requirements, unscaled, at many scaled designs at once."""
-        return _cached(self._caches.population, None, 1, self._write_population)
+        return cached(self._caches.population, None, self._write_population)
 
     def _write_population(self) -> Population:
-        objective, *rows = _expressions(self.declared)
+        objective, *rows = self.declared.expressions()
         raw = self._of_scaled([objective, ca.vertcat(*rows)], self._y, self._p)
         return Population(split(raw, [self._y, self._p]), self._y, self._p)
 
@@ -393,8 +375,8 @@ class Program:
             p: parameters.
             error: the reason why the guess has no value, raised if the sample has none either.
         """
-        for count in (_SCALING_SAMPLE, _LARGE_SCALING_SAMPLE):
-            points = np.random.default_rng(_SCALING_SEED).random((count, len(self.declared.variables)))
+        for count in _SCALING.samples:
+            points = np.random.default_rng(_SCALING.seed).random((count, len(self.declared.variables)))
             with np.errstate(all="ignore"):
                 f, g = self.population(points, p)
             sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)
@@ -458,14 +440,9 @@ class Program:
         return replace(point, y=y, lam_y=point.lam_y[:n]), slack[:count] + slack[count:]
 
 
-def _expressions(declared: Declarations) -> list[ca.MX]:
-    """Return objective and requirements."""
-    return [declared.objective, *(r.expression for r in declared.requirements)]
-
-
 def _refuse_undeclared(declared: Declarations) -> None:
     names = ["objective", *(r.name for r in declared.requirements)]
-    for name, expression in zip(names, _expressions(declared), strict=True):
+    for name, expression in zip(names, declared.expressions(), strict=True):
         if strangers := declared.strangers(expression):
             raise InputError(
                 f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): create them"
@@ -481,7 +458,7 @@ def _bounds(start: Vector, box: float, fixed: Sequence[int]) -> tuple[Vector, Ve
     return lower, upper
 
 
-def _cached(cache: dict[Hashable, Cached], key: Hashable, most: int, make: Callable[[], Cached]) -> Cached:
+def cached(cache: dict[Hashable, Cached], key: Hashable, make: Callable[[], Cached], most: float = 1) -> Cached:
     """Return a cache's entry, made if it is missing; the oldest are dropped beyond ``most`` entries."""
     if key not in cache:
         while len(cache) >= most:
@@ -492,22 +469,16 @@ def _cached(cache: dict[Hashable, Cached], key: Hashable, most: int, make: Calla
 
 def _power_of_four(value: float) -> float:
     """Return the power of four nearest to a value's size, so that slightly different questions are scaled alike."""
-    return float(4.0 ** round(math.log(max(abs(value), _SMALLEST_SCALE), 4.0)))
+    return float(4.0 ** round(math.log(max(abs(value), _SCALING.smallest), 4.0)))
 
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
     """Return the largest error of the derivatives of a program's runs at a scaled design."""
-    known, at = program.built.errors, (y.tobytes(), p.tobytes())
-    if at not in known:
-        known.clear()
-        known[at] = max(
-            (
-                derivative_error(group.solver, group.first, group.varying, group.inputs(y, p).full())
-                for group in program.built.plain.groups
-            ),
-            default=0.0,
-        )
-    return known[at]
+    errors = (
+        derivative_error(group.solver, group.first, group.varying, group.inputs(y, p).full())
+        for group in program.built.plain.groups
+    )
+    return cached(program.built.errors, (y.tobytes(), p.tobytes()), lambda: max(errors, default=0.0))
 
 
 def with_sure_steps(program: Program, p: Vector, starts: Sequence[Vector]) -> Program:
@@ -527,8 +498,3 @@ def with_sure_steps(program: Program, p: Vector, starts: Sequence[Vector]) -> Pr
         with contextlib.suppress(DomainError):  # too many steps
             return program.with_steps(p, steps_factor(error / wanted), starts)
     return replace(program, checked=(starts[0], error))
-
-
-def steps_factor(excess: float) -> float:
-    """Return the factor on the number of steps that reduces an error by the factor ``excess``, with a margin."""
-    return min(_MOST_STEPS_FACTOR, 1.1 * excess**_STEPS_EXPONENT) if excess < math.inf else _MOST_STEPS_FACTOR

@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -38,32 +37,6 @@ _Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool], Vector]
 
 # Most runs whose results an evaluation caches: enough for a design of some hundred soil samples at a few points.
 _MOST_CACHED: Final = 4096
-
-
-@dataclass(frozen=True)
-class _Alike:
-    """Scenes, or arguments of a law, that differ only in numbers, so that they can be checked at once as arrays.
-
-    Attributes:
-        template: a scene or arguments, with a placeholder for each quantity.
-        check: raises an error if such an object is not valid, and checks domains by `check_domain`.
-        quantities: values of the symbols -> the quantities, a column for each object.
-    """
-
-    template: Any
-    check: Callable[[Any], object]
-    quantities: ca.Function
-
-    def inside(self, numbers: Sequence[float]) -> bool:
-        """Return whether all keep every limit; False also if one of their classes takes no arrays."""
-        rows = self.quantities(*numbers).full()
-        values = iter([row if np.ptp(row) else float(row[0]) for row in rows])
-        try:
-            with limits_of_numbers() as limits:
-                self.check(map_expressions(self.template, lambda _: next(values), is_quantity))
-        except Exception:  # a user's own class may raise any error for arrays
-            return False
-        return all(np.all(limit.holds(value)) for limit, value in limits)
 
 
 class TightEvaluation:
@@ -106,7 +79,7 @@ class TightEvaluation:
                 self._checked_alike &= not is_own(meaning.law)
                 alike.setdefault(id(meaning), (meaning.template, meaning.run, []))[2].append(ca.vec(carried))
         self._alike = [
-            _Alike(template, check, ca.Function("alike", list(symbols), [ca.densify(ca.horzcat(*columns))]))
+            (template, check, ca.Function("alike", list(symbols), [ca.densify(ca.horzcat(*columns))]))
             for template, check, columns in alike.values()
         ]
         for meaning, carried in parts.labels:
@@ -175,7 +148,7 @@ class TightEvaluation:
         return (
             self._checked_alike
             and all(limit.holds(value) for limit, value in self._bare_values(numbers))
-            and all(alike.inside(numbers) for alike in self._alike)
+            and all(_keep_limits(template, check, of(*numbers).full()) for template, check, of in self._alike)
         )
 
     def refusal(self, numbers: Sequence[float]) -> str:
@@ -230,6 +203,25 @@ class TightEvaluation:
         return [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]
 
 
+def _keep_limits(template: Any, check: Callable[[Any], object], quantities: Vector) -> bool:
+    """Return whether objects that differ only in numbers keep every limit, as arrays tell of all of them at once.
+
+    False also if one of their classes takes no arrays.
+
+    Args:
+        template: a scene or arguments of a law, with a placeholder for each quantity.
+        check: raises an error if such an object is not valid, and checks domains by `check_domain`.
+        quantities: a row for each, with a column for each object.
+    """
+    values = iter([row if np.ptp(row) else float(row[0]) for row in quantities])
+    try:
+        with limits_of_numbers() as limits:
+            check(map_expressions(template, lambda _: next(values), is_quantity))
+    except Exception:  # a user's own class may raise any error for arrays
+        return False
+    return all(np.all(limit.holds(value)) for limit, value in limits)
+
+
 def _tight_results(own: Integration, inputs: tuple[float, ...], check: bool) -> Vector:
     """Return a run's stacked results by a tight method, or by the method that checks it.
 
@@ -277,7 +269,7 @@ def values_at_guess(
         raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
     refusal = exact.refusal([*guess, *p])
     for limit, value in zip(implied, found[len(found) - len(implied) :], strict=True):
-        if limit.margin(value) < 0.0:
+        if np.min(limit.margins(value)) < 0.0:
             least, most = float(np.min(value)), float(np.max(value))
             worst, side = (most, f"up to {limit.high:.6g}") if most > limit.high else (least, f"from {limit.low:.6g}")
             raise InputError(
@@ -340,13 +332,20 @@ def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> N
             raise DomainError(f"{clause}: {error}") from None
 
 
-# Phase per step, with the rate by `Rates.summed` [rad]. It leaves a relative error of about 3e-9 in averages; the check
-# at the optimum demands finer steps if that is not enough.
-_PHASE_PER_STEP = 1.15
-_MOST_STEPS = 50_000
-_FEWEST_STEPS = 20
-# Harmonics of a periodic orbit, whose amplitudes decay exponentially.
-_HARMONICS = 12
+class Steps(NamedTuple):
+    """Bounds of the numbers of integration steps, and of what takes their place for orbits."""
+
+    # With the rate by `Rates.summed` [rad]. It leaves a relative error of about 3e-9 in averages; the check at the
+    # optimum demands finer steps if that is not enough.
+    phase_per_step: float = 1.15
+    most: int = 50_000
+    fewest_if_rough: int = 20  # of a run that only has to show the sign of a curvature
+    harmonics: int = 12  # of a periodic orbit, whose amplitudes decay exponentially
+    exponent: float = 0.125  # An error e times too large takes e to this power times as many: the method has order 8.
+    most_factor: float = 3.0  # of one refinement
+
+
+STEPS = Steps()
 
 
 def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinement: float) -> list[int | None]:
@@ -368,15 +367,15 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
             steps.append(None)
             continue
         if _holds_orbit(exact, k):
-            steps.append(min(math.ceil(_HARMONICS * refinement), MOST_HARMONICS))
+            steps.append(min(math.ceil(STEPS.harmonics * refinement), MOST_HARMONICS))
             continue
         fastest = 0.0
         for numbers in designs:
             given, _ = exact.given(k, numbers)
             rate = rates(dict(zip(run.integration.names, given, strict=False))).summed
             fastest = max(fastest, rate * float(given[-1]))
-        count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))
-        if count > _MOST_STEPS:
+        count = math.ceil(refinement * steps_for(fastest, STEPS.phase_per_step))
+        if count > STEPS.most:
             raise DomainError(
                 f"between the bounds the share oscillates up to {fastest / (2 * math.pi):.3g} times in a run,"
                 f" which would take {count} integration steps: tighten the bounds on stiffness and mass,"
@@ -390,9 +389,14 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
 def rough_steps(exact: TightEvaluation, steps: Sequence[int | None]) -> list[int | None]:
     """Return the numbers of steps for rough runs: two fifths, but for orbits the same number of harmonics."""
     return [
-        own if own is None or _holds_orbit(exact, k) else max(_FEWEST_STEPS, 2 * own // 5)
+        own if own is None or _holds_orbit(exact, k) else max(STEPS.fewest_if_rough, 2 * own // 5)
         for k, own in enumerate(steps)
     ]
+
+
+def steps_factor(excess: float) -> float:
+    """Return the factor on the number of steps that reduces an error by the factor ``excess``, with a margin."""
+    return min(STEPS.most_factor, 1.1 * excess**STEPS.exponent) if excess < math.inf else STEPS.most_factor
 
 
 def _holds_orbit(exact: TightEvaluation, run: int) -> bool:

@@ -5,21 +5,24 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from plough_opt.core.checks import array_of, shown
-from plough_opt.core.errors import InfeasibleDesign, InputError, listed, nearest
+from plough_opt.core.errors import InfeasibleDesign, InputError, nearest
 from plough_opt.core.units import has_unit, in_si, in_words
 from plough_opt.design.confirmation import Judge, ranking_criterion, spread
-from plough_opt.design.declarations import Variable
+from plough_opt.design.declarations import Variable, values_in_words
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.program import Program
-from plough_opt.design.result.optimum import Choice, Rounded, values_in_words
+from plough_opt.design.result.optimum import Choice, Rounded
 from plough_opt.design.result.reporting import reports
 from plough_opt.design.result.sensitivity import Solved
-from plough_opt.design.search.effort import AUTO_SECONDS, CAN_WIN, TimeLimit
+from plough_opt.design.search.effort import CAN_WIN, TimeLimit
 from plough_opt.design.search.landscape import (
+    LEAST_GAIN,
     MANY_VARIABLES,
     SEED,
     Evaluations,
@@ -30,103 +33,52 @@ from plough_opt.design.search.landscape import (
     lines_through,
     local_minima,
     sobol_points,
+    with_variables,
 )
 from plough_opt.design.search.local import AS_FOUND, descend, least_violation, point_as_found
 from plough_opt.design.search.near import failures, from_least_violation
 
-# The first sample of the free variables.
-_SCREENING_SAMPLE = 2**16  # designs of all combinations together
-_FEWEST_EACH = 2
-_MOST_EACH = 128
 
-# Shrinking boxes around the best designs of the lowest combinations.
-_ZOOM_COMBINATIONS = 256  # in the first round; their number is halved from round to round
-_ZOOM_EACH = 16  # designs in a box
-_ZOOM_RADII = (0.25, 0.12, 0.06, 0.03, 0.015)  # half widths by round, as fractions of the range
+class _FreeSample(NamedTuple):
+    """Extent of the first sample of the free variables."""
 
-# Descents from the lowest combinations.
-_DESCENT_COMBINATIONS = 30
-_DESCENTS = 60  # of all combinations together
-_MOST_DESCENTS_EACH = 8
-
-# Evolution of the combinations that can still win.
-_EVOLVED = 8  # combinations at most
-_DESIGNS_PER_VARIABLE = 12
-_GENERATIONS = 50
-_EVOLUTION_CONVERGED = 1e-6  # The evolution ends when the merits scatter by less than this fraction.
-
-# Looks along the lines through the lowest designs of these combinations, and the relative gain that justifies another.
-_MOST_LOOKS = 4
-_GAIN = 1e-6
-
-# Weight of a violation in the second ranking, which keeps slightly infeasible combinations in the competition.
-_LOW_PENALTY = 1.0
+    designs: int = 2**16  # of all combinations together
+    fewest_each: int = 2
+    most_each: int = 128
+    # Weight of a violation in the second ranking, which keeps slightly infeasible combinations in the competition.
+    low_penalty: float = 1.0
 
 
-@dataclass(frozen=True)
-class Promising:
-    """A combination that can be best.
+class _ShrinkingBoxes(NamedTuple):
+    """Boxes around the best designs of the lowest combinations."""
 
-    Attributes:
-        number: its row among the combinations.
-        start: the design, evaluated, from which to optimise the free variables.
-    """
-
-    number: int
-    start: Evaluations
-
-    @property
-    def merit(self) -> float:
-        """Merit of the start; every feasible one is below any that is not."""
-        return float(self.start.strict_merit[0])
+    combinations: int = 256  # in the first round; their number is halved from round to round
+    designs: int = 16  # in a box
+    radii: tuple[float, ...] = (0.25, 0.12, 0.06, 0.03, 0.015)  # half widths by round, as fractions of the range
 
 
-def promising(
-    landscape: Landscape,
-    optimum: Vector,
-    fixed: list[int],
-    combinations: Vector,
-    kept: list[int],
-    seed: int,
-    limit: TimeLimit,
-) -> list[Promising]:
-    """Return the combinations that can be best, lowest merit first and infeasible ones last.
+class _Descents(NamedTuple):
+    """Number of descents from the lowest combinations."""
 
-    All are evaluated with the free variables at the optimum and at a sample. The lowest are sampled again in shrinking
-    boxes around their best design, and from the lowest designs of the remaining ones descents start.
+    combinations: int = 30
+    together: int = 60  # of all combinations
+    most_each: int = 8
 
-    Args:
-        landscape: of the design; vectorised.
-        optimum: the scaled optimum.
-        fixed: numbers of the variables with a catalogue.
-        combinations: scaled values of these variables, a row for each combination.
-        kept: rows that are never dropped, such as the optimum's neighbours.
-        seed: of the samples.
-        limit: of the processor time; once it is over, the other combinations keep their lowest designs so far.
-    """
-    screen = _Screen(landscape, optimum, fixed, combinations, seed)
-    if not screen.free:
-        evaluated = landscape(screen.designs(np.arange(len(combinations)), np.empty((len(combinations), 0))))
-        best = _lowest(evaluated, _DESCENT_COMBINATIONS, kept)
-        return _ordered([Promising(int(k), evaluated.select([k])) for k in best])
-    numbers, samples = screen.sampled(kept)
-    descents = max(2, min(_MOST_DESCENTS_EACH, _DESCENTS // len(numbers)))
-    sample_by_number = dict(zip(numbers.tolist(), samples, strict=True))
-    found: list[Promising] = []
-    for number, own in sample_by_number.items():
-        late = found and limit.passed("descents in some combinations")
-        lowest = Promising(number, own.select([int(np.argmin(own.merit))])) if late else None
-        found.append(lowest or screen.descended(number, own, descents))
-    found = _ordered(found)
-    if len(screen.free) == 1:
-        return found
-    # With several free variables a sample may miss the best basin of a combination that can win.
-    highest, last = found[0].merit + CAN_WIN * abs(found[0].merit), list[Promising]()
-    for one in found[:_EVOLVED]:
-        if one.merit > highest or limit.passed("evolution of some combinations"):
-            break
-        last.append(screen.evolved(one, sample_by_number[one.number]))
-    return _ordered([*last, *found[len(last) :]])
+
+class _Evolution(NamedTuple):
+    """Extent of the evolution of the combinations that can still win, and of the looks around its ends."""
+
+    combinations: int = 8  # at most
+    designs_per_variable: int = 12
+    generations: int = 50
+    converged: float = 1e-6  # It ends when the merits scatter by less than this fraction.
+    looks: int = 4  # along the lines through the lowest design
+
+
+_FREE = _FreeSample()
+_SHRINKING = _ShrinkingBoxes()
+_DESCENTS = _Descents()
+_EVOLUTION = _Evolution()
 
 
 class _Screen:
@@ -135,92 +87,130 @@ class _Screen:
     def __init__(
         self, landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector, seed: int
     ) -> None:
+        """Prepare to find the combinations that can be best.
+
+        Args:
+            landscape: of the design; vectorised.
+            optimum: the scaled optimum.
+            fixed: numbers of the variables with a catalogue.
+            combinations: scaled values of these variables, a row for each combination.
+            seed: of the samples.
+        """
         self._landscape, self._optimum, self._fixed, self._combinations = landscape, optimum, fixed, combinations
-        self.free = [k for k in range(len(optimum)) if k not in fixed]
+        self._free = [k for k in range(len(optimum)) if k not in fixed]
         self._rng = np.random.default_rng([SEED + seed, len(combinations)])
 
-    def designs(self, numbers: np.ndarray, free: Vector) -> Vector:
-        """Return the designs that join combinations, by number, with values of the free variables, a row each."""
+    def promising(self, kept: list[int], limit: TimeLimit) -> dict[int, Vector]:
+        """Return the combinations that can be best, each by its row with a start from which to optimise.
+
+        The lowest merit is first and infeasible ones are last. All are evaluated with the free variables at the optimum
+        and at a sample. The lowest are sampled again in shrinking boxes around their best design, and from the lowest
+        designs of the remaining ones descents start.
+
+        Args:
+            kept: rows that are never dropped, such as the optimum's neighbours.
+            limit: of the processor time; once it is over, the other combinations keep their lowest designs so far.
+        """
+        every = np.arange(len(self._combinations))
+        at_optimum = self._landscape(self._designs(every, self._optimum[self._free]))
+        if not self._free:
+            best = _lowest(at_optimum, _DESCENTS.combinations, kept)
+            return _in_order({k: at_optimum.select([k]) for k in best.tolist()})
+        samples = self._sampled(at_optimum, kept)
+        descents = max(2, min(_DESCENTS.most_each, _DESCENTS.together // len(samples)))
+        found: dict[int, Evaluations] = {}
+        for number, own in samples.items():
+            late = found and limit.passed("descents in some combinations")
+            found[number] = own.select([int(np.argmin(own.merit))]) if late else self._descended(own, descents)
+        order = [*_in_order(found)]
+        # With several free variables a sample may miss the best basin of a combination that can win.
+        lowest = _rank(found[order[0]])
+        highest = lowest + CAN_WIN * abs(lowest)
+        for number in order[: _EVOLUTION.combinations] if len(self._free) > 1 else ():
+            if _rank(found[number]) > highest or limit.passed("evolution of some combinations"):
+                break
+            found[number] = self._evolved(found[number], samples[number])
+        return _in_order(found)
+
+    def _designs(self, numbers: np.ndarray, free: Vector) -> Vector:
+        """Return the designs that join combinations, by number, with a row each of the free variables, or the same."""
         found = np.empty((len(numbers), len(self._optimum)))
         found[:, self._fixed] = self._combinations[numbers]
-        found[:, self.free] = free
+        found[:, self._free] = free
         return found
 
-    def sampled(self, kept: list[int]) -> tuple[np.ndarray, list[Evaluations]]:
-        """Return the lowest combinations and the evaluated designs of each.
+    def _sampled(self, at_optimum: Evaluations, kept: list[int]) -> dict[int, Evaluations]:
+        """Return the lowest combinations, by number, with evaluated designs of each.
 
-        The designs of a combination are the one at the optimum, the best one found, and its part of the sample.
+        These are the one at the optimum, the best one found, and its part of the sample.
         """
-        count, n = len(self._combinations), len(self.free)
+        count, n = len(self._combinations), len(self._free)
         numbers = np.arange(count)
-        at_optimum = self._landscape(self.designs(numbers, np.tile(self._optimum[self.free], (count, 1))))
-        each = int(np.clip(_SCREENING_SAMPLE // count, _FEWEST_EACH, _MOST_EACH))
+        each = int(np.clip(_FREE.designs // count, _FREE.fewest_each, _FREE.most_each))
         points = sobol_points(n, count * each, self._rng)
         # Consecutive points of the sequence fill the space evenly, so each combination takes a block of them.
-        sample = self._landscape(self.designs(np.repeat(numbers, each), points))
+        sample = self._landscape(self._designs(np.repeat(numbers, each), points))
         best = _best_of_each(at_optimum, sample, each)
-        numbers = _lowest(best, _ZOOM_COMBINATIONS, kept)
+        numbers = _lowest(best, _SHRINKING.combinations, kept)
         best = best.select(numbers)
-        for k, radius in enumerate(_ZOOM_RADII):
+        for k, radius in enumerate(_SHRINKING.radii):
             best = self._zoomed(numbers, best, radius)
-            remaining = max(_DESCENT_COMBINATIONS, _ZOOM_COMBINATIONS >> (k + 1))
+            remaining = max(_DESCENTS.combinations, _SHRINKING.combinations >> (k + 1))
             left = _lowest(best, remaining, np.flatnonzero(np.isin(numbers, kept)).tolist())
             numbers, best = numbers[left], best.select(left)
-        own = [
-            concatenated([at_optimum.select([k]), best.select([j]), sample.select(slice(k * each, (k + 1) * each))])
-            for j, k in enumerate(numbers)
-        ]
-        return numbers, own
+        return {
+            k: concatenated([at_optimum.select([k]), best.select([j]), sample.select(slice(k * each, (k + 1) * each))])
+            for j, k in enumerate(numbers.tolist())
+        }
 
     def _zoomed(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
         """Return the lowest design of each combination after sampling a box around its lowest so far."""
-        count, n = len(numbers), len(self.free)
-        offsets = self._rng.uniform(-radius, radius, (count * _ZOOM_EACH, n))
-        points = np.clip(np.repeat(best.points[:, self.free], _ZOOM_EACH, axis=0) + offsets, 0.0, 1.0)
-        return _best_of_each(best, self._landscape(self.designs(np.repeat(numbers, _ZOOM_EACH), points)), _ZOOM_EACH)
+        each = _SHRINKING.designs
+        offsets = self._rng.uniform(-radius, radius, (len(numbers) * each, len(self._free)))
+        points = np.clip(np.repeat(best.points[:, self._free], each, axis=0) + offsets, 0.0, 1.0)
+        return _best_of_each(best, self._landscape(self._designs(np.repeat(numbers, each), points)), each)
 
-    def descended(self, number: int, designs: Evaluations, count: int) -> Promising:
+    def _descended(self, designs: Evaluations, count: int) -> Evaluations:
         """Return the best end of descents from a combination's lowest designs, with the combination's values held."""
         # The designs at the optimum and the best one found; then the local minima of the sample.
         starts = [0, 1]
-        if len(designs.f) > 4 * _ZOOM_EACH:
-            lowest, _ = local_minima(designs.points[:, self.free], designs.merit)
+        if len(designs.f) > 4 * _SHRINKING.designs:
+            lowest, _ = local_minima(designs.points[:, self._free], designs.merit)
             starts += [int(k) for k in lowest if k > 1]
         # A design that cannot be evaluated has no slope to follow.
         starts = [k for k in starts if np.isfinite(designs.merit[k])][:count]
         ends = [self._end(designs.points[k]) for k in starts] or [designs.select([0])]
-        return min((Promising(number, end) for end in ends), key=lambda one: one.merit)
+        return min(ends, key=_rank)
 
-    def evolved(self, known: Promising, designs: Evaluations) -> Promising:
+    def _evolved(self, known: Evaluations, designs: Evaluations) -> Evaluations:
         """Return the end of an evolution from a combination's lowest designs if it is lower than the known start.
 
         Without it two of the random catalogue problems miss the basin of their best combination.
         """
-        n = len(self.free)
-        size = _DESIGNS_PER_VARIABLE * n
+        n = len(self._free)
+        size = _EVOLUTION.designs_per_variable * n
         lowest = np.argsort(designs.merit, kind="stable")[:size]
-        start = np.vstack([known.start.points[:, self.free], designs.points[lowest][:, self.free]])
+        start = np.vstack([known.points[:, self._free], designs.points[lowest][:, self._free]])
         if len(start) < size:
             start = np.vstack([start, self._rng.random((size - len(start), n))])
 
-        def merit(x: Vector) -> Vector:
-            return self._landscape(self.designs(np.full(len(x), known.number), x)).merit
+        whole = partial(with_variables, known.points[0], self._free)
+        most, alike = _EVOLUTION.generations, _EVOLUTION.converged
+        best = evolved(
+            lambda x: self._landscape(whole(x)).merit, start, most, self._rng, from_best=n < MANY_VARIABLES, alike=alike
+        )
+        return self._along_each_variable(min(known, self._end(whole(best[None])[0]), key=_rank))
 
-        best = evolved(merit, start, _GENERATIONS, self._rng, from_best=n < MANY_VARIABLES, alike=_EVOLUTION_CONVERGED)
-        end = Promising(known.number, self._end(self.designs(np.array([known.number]), best[None])[0]))
-        return self._along_each_variable(min(known, end, key=lambda one: one.merit))
-
-    def _along_each_variable(self, one: Promising) -> Promising:
+    def _along_each_variable(self, one: Evaluations) -> Evaluations:
         """Return the lowest end of descents from dips along each free variable, which a sparse sample misses.
 
         One of the random catalogue problems needs it with some seeds.
         """
-        for _ in range(_MOST_LOOKS):
-            lines = lines_through(one.start.points[0], self.free)
+        for _ in range(_EVOLUTION.looks):
+            lines = lines_through(one.points[0], self._free)
             dips = dips_along(self._landscape(lines).merit)
-            ends = [Promising(one.number, self._end(lines[k])) for k in dips]
-            best = min([one, *ends], key=lambda end: end.merit)
-            if not best.merit < one.merit - _GAIN * abs(one.merit):
+            best = min([one, *(self._end(lines[k]) for k in dips)], key=_rank)
+            if not _rank(best) < _rank(one) - LEAST_GAIN * abs(_rank(one)):
                 break
             one = best
         return one
@@ -253,7 +243,7 @@ def _lowest(best: Evaluations, count: int, kept: list[int]) -> np.ndarray:
     if len(best.f) <= count:
         return np.arange(len(best.f))
     with np.errstate(invalid="ignore"):
-        low_penalty = np.where(np.isfinite(best.f), best.f + _LOW_PENALTY * best.violation, np.inf)
+        low_penalty = np.where(np.isfinite(best.f), best.f + _FREE.low_penalty * best.violation, np.inf)
     strict, loose = (np.argsort(value, kind="stable").tolist() for value in (best.merit, low_penalty))
     half = count // 2
     chosen = list(dict.fromkeys([*kept, *strict[:half], *loose[: count - half]]))
@@ -261,20 +251,31 @@ def _lowest(best: Evaluations, count: int, kept: list[int]) -> np.ndarray:
     return np.array(list(dict.fromkeys([*chosen, *strict[: count + len(kept)]]))[: max(count, len(chosen))])
 
 
-def _ordered(found: list[Promising]) -> list[Promising]:
-    return sorted(found, key=lambda one: (one.merit, one.number))
+def _rank(design: Evaluations) -> float:
+    """Return the merit by which combinations are ranked: every feasible one is below any that is not."""
+    return float(design.strict_merit[0])
+
+
+def _in_order(found: dict[int, Evaluations]) -> dict[int, Vector]:
+    """Return the design of each combination, lowest first."""
+    return {k: found[k].points[0] for k in sorted(found, key=lambda k: (_rank(found[k]), k))}
 
 
 Catalogue = float | str | Sequence[float | str]
 """The values that a variable may take, or a step whose multiples it may take: numbers in SI, or texts with units."""
 
-# A catalogue value within this fraction of the range from the optimum is taken for it: the optimiser stops this far
-# from a bound.
-_SAME_VALUE = 1e-6
-# A value beyond a bound by this fraction of the range counts as the bound.
-_BEYOND_BOUND = 1e-12
-# Floating point cannot distinguish larger multiples of a step.
-_MOST_MULTIPLES = 1e15
+
+class _Values(NamedTuple):
+    """Which catalogue values are the optimum's or a bound's, and which multiples of a step exist."""
+
+    # A value within this fraction of the range from the optimum is taken for it: the optimiser stops this far from a
+    # bound.
+    same: float = 1e-6
+    beyond_bound: float = 1e-12  # A value beyond a bound by this fraction of the range counts as the bound.
+    most_multiples: float = 1e15  # Floating point cannot distinguish larger multiples of a step.
+
+
+_VALUES = _Values()
 
 
 @dataclass(frozen=True)
@@ -293,11 +294,6 @@ class Allowed:
     offered: Sequence[float] | range
     step: float = 0.0
 
-    @property
-    def count(self) -> int:
-        """Number of values."""
-        return len(self.offered)
-
     def values(self) -> list[float]:
         """Return all values in ascending order."""
         return self._in_unit(self.offered)
@@ -307,10 +303,10 @@ class Allowed:
         v, near = self.variable, self.offered
         if self.step:
             below = math.floor(optimum / self.step) - 1 - self.offered[0]
-            near = self.offered[max(0, min(int(below), self.count - 1)) :][:5]
+            near = self.offered[max(0, min(int(below), len(self.offered) - 1)) :][:5]
         values = self._in_unit(near)
         nearest_value = min(values, key=lambda x: abs(x - optimum))
-        if abs(nearest_value - optimum) <= _SAME_VALUE * (v.upper - v.lower):
+        if abs(nearest_value - optimum) <= _VALUES.same * (v.upper - v.lower):
             return [nearest_value]
         lower, higher = [x for x in values if x < optimum], [x for x in values if x > optimum]
         return [*lower[-1:], *higher[:1]]
@@ -362,19 +358,19 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     values = array_of(catalogue, wrong).ravel()
     if not values.size or not np.all(np.isfinite(values)):
         raise InputError(wrong)
-    reserve = _BEYOND_BOUND * (v.upper - v.lower)
+    reserve = _VALUES.beyond_bound * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
         step = float(values[0])
         if step <= 0.0:
             raise InputError(f"the step of '{v.name}' must be above 0, not {step:g}")
-        if max(abs(v.lower), abs(v.upper)) / _MOST_MULTIPLES > step:
+        if max(abs(v.lower), abs(v.upper)) / _VALUES.most_multiples > step:
             raise InputError(f"the step {step:g} of '{v.name}' is too small for its bounds: use a larger one")
         first, last = math.ceil((v.lower - reserve) / step), math.floor((v.upper + reserve) / step)
         found = Allowed(number, v, range(first, last + 1), step)
     else:
         inside = values[(values >= v.lower - reserve) & (values <= v.upper + reserve)]
         found = Allowed(number, v, tuple(np.unique(np.clip(inside, v.lower, v.upper)).tolist()))
-    if not found.count:
+    if not found.offered:
         raise InputError(
             f"no catalogue value of '{v.name}' lies between its bounds {in_words(v.lower, v.unit)} and"
             f" {in_words(v.upper, v.unit)}: add one that does, or widen the bounds"
@@ -382,18 +378,20 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     return found
 
 
-# Screening this many combinations takes some seconds; from here on, only the optimum's neighbours are tried.
-_MOST_SCREENED = 100_000
-# The same for the runs of their designs, of which a design over its tolerances has some seventy.
-_MOST_RUNS_SCREENED = 2_000_000
-# Most combinations that are optimised.
-_MOST_OPTIMISED = 20
-# Most combinations of neighbours that are accepted.
-_MOST_NEIGHBOURS = 4096
+class _Combinations(NamedTuple):
+    """Most combinations that are screened, optimised and named."""
+
+    screened: int = 100_000  # This many take some seconds; from here on, only the optimum's neighbours are tried.
+    # The same for the runs of their designs, of which a design over its tolerances has some seventy.
+    runs_screened: int = 2_000_000
+    optimised: int = 20
+    neighbours: int = 4096  # that are accepted
+    named: int = 5  # of those that fail, in an error message
+
+
+_MOST = _Combinations()
 # An optimised design may lie above its start by this fraction of the objective: the error of a search's rough runs.
 _NOT_WORSE_THAN_ROUGH = 1e-5
-# Most failing combinations that an error message names.
-_MOST_NAMED = 5
 
 
 def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogues: Mapping[str, Catalogue]) -> Rounded:
@@ -411,13 +409,13 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     offered = allowed(solved.program.declared.variables, catalogues)
     fixed = [own.number for own in offered]
     landscape = Landscape(solved.program, p, fixed)
-    count = math.prod(own.count for own in offered)
-    few = count < _MOST_SCREENED and count * solved.program.population.runs < _MOST_RUNS_SCREENED
+    count = math.prod(len(own.offered) for own in offered)
+    few = count < _MOST.screened and count * solved.program.population.runs < _MOST.runs_screened
     every = landscape.vectorised and few
     limit = TimeLimit("auto")
     starts = _starts(landscape, solved, offered, seed, limit if every else None)
     program = solved.program.with_steps(p, starts=[start for start, _ in starts])
-    reached: list[tuple[Choice, Point, Combination]] = []
+    reached: list[tuple[Choice, Point]] = []
     failed: list[Choice] = []
     for number, (start, values) in enumerate(starts):
         if reached and limit.passed(f"optima of {len(starts) - number} of the {len(starts)} most promising ones"):
@@ -428,13 +426,13 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
             failed.append(Choice(names, None, conflicts))
         else:
             objective = point.f * program.objective_scale
-            reached.append((Choice(names, objective, {}, spread(landscape, point.y, objective)), point, values))
+            reached.append((Choice(names, objective, {}, spread(landscape, point.y, objective)), point))
     screened = count if every else len(starts)
     if not reached:
         raise _none_feasible(program, failed, screened)
-    judged = ranking_criterion(landscape, judge)(np.array([point.y for _, point, _ in reached]))
+    judged = ranking_criterion(landscape, judge)(np.array([point.y for _, point in reached]))
     order = sorted(range(len(reached)), key=lambda k: (round(float(judged[k]), 9), reached[k][1].f))
-    choice, point, values = reached[order[0]]
+    choice, point = reached[order[0]]
     # A rounded variable is held by its catalogue, not by a bound, so its bound must not count as active.
     multipliers = point.lam_y.copy()
     multipliers[fixed] = 0.0
@@ -446,8 +444,11 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
         over=program.over,
         status="unconfirmed" if point.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
-        warnings=(*_left_out(limit), *warnings),
-        solved=Solved(program, p, point, dict(zip(fixed, values, strict=True))),
+        warnings=(
+            *limit.warnings("{} were left out: there may be a better combination; offer fewer values"),
+            *warnings,
+        ),
+        solved=Solved(program, p, point, dict(zip(fixed, choice.values.values(), strict=True))),
         fixed=tuple(choice.values),
         unrounded=unrounded,
         tried=(*(reached[k][0] for k in order), *failed),
@@ -458,14 +459,6 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
 
 Combination = tuple[float, ...]
 """One value from each catalogue."""
-
-
-def _left_out(limit: TimeLimit) -> tuple[str, ...]:
-    """Return a sentence on what was left out once the time was over, if anything was."""
-    if not limit.left_out:
-        return ()
-    after, rest = f"after {AUTO_SECONDS:g} s of processor time", listed([*limit.left_out])
-    return (f"{after} {rest} were left out: there may be a better combination; offer fewer values",)
 
 
 def _starts(
@@ -482,19 +475,18 @@ def _starts(
     """
     neighbours = [own.neighbours(float(solved.values[own.number])) for own in offered]
     near = math.prod(map(len, neighbours))
-    if limit is None and near > _MOST_NEIGHBOURS:
+    if limit is None and near > _MOST.neighbours:
         raise InputError(f"{len(neighbours)} variables have too many combinations of neighbours: round fewer at a time")
     combinations = list(itertools.product(*([own.values() for own in offered] if limit else neighbours)))
     scaled = [[own.variable.scaled(x) for own, x in zip(offered, values, strict=True)] for values in combinations]
     fixed = [own.number for own in offered]
     if limit:
-        always = set(itertools.product(*neighbours)) if near <= _MOST_OPTIMISED else set()
+        always = set(itertools.product(*neighbours)) if near <= _MOST.optimised else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
-        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept, seed, limit)[:_MOST_OPTIMISED]
-        return [(one.start.points[0], combinations[one.number]) for one in found]
-    designs = np.repeat(solved.point.y[None], len(combinations), axis=0)
-    designs[:, fixed] = scaled
-    return list(zip(designs, combinations, strict=True))
+        screen = _Screen(landscape, solved.point.y, fixed, np.array(scaled), seed)
+        found = [*screen.promising(kept, limit).items()][: _MOST.optimised]
+        return [(start, combinations[number]) for number, start in found]
+    return list(zip(with_variables(solved.point.y, fixed, scaled), combinations, strict=True))
 
 
 def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tuple[Point | None, dict[str, float]]:
@@ -524,7 +516,7 @@ def _none_feasible(program: Program, tried: Sequence[Choice], screened: int) -> 
     units = {v.name: v.unit for v in program.declared.variables}
     texts = [
         f"{values_in_words(choice.values, units)}: {failures(program, choice.conflicts) or 'not solved'}"
-        for choice in least[:_MOST_NAMED]
+        for choice in least[: _MOST.named]
     ]
     none = f"none of {screened} combinations of values meets" if screened > 1 else "the only combination does not meet"
     rest = f"; and {len(tried) - len(texts)} more that were optimised" if len(tried) > len(texts) else ""

@@ -17,7 +17,8 @@ from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import OBJECTIVE_DIGITS, Display, customary, in_words
 from plough_opt.design.confirmation import Spread
-from plough_opt.design.result.sensitivity import Sensitivity, Solved
+from plough_opt.design.declarations import values_in_words
+from plough_opt.design.result.sensitivity import NO_PERCENTAGE, Sensitivity, Solved
 from plough_opt.design.search.effort import expected_unseen
 from plough_opt.motion.run import Machine, Run, without_repetition
 from plough_opt.motion.simulation import repeat
@@ -299,8 +300,6 @@ class LocalOptimum(Saveable):
 
 # A smaller fraction of designs as made that meet all requirements is pointed out.
 _FEW_KEPT = 0.5
-# A cost below this percentage of the objective is rounding.
-_NO_COST = 1e-9
 _WITHOUT_DESIGN = "this optimum was saved without its design: evaluate expressions before saving it, or solve again"
 
 
@@ -595,7 +594,7 @@ class Optimum(LocalOptimum):
         if isinstance(self, Rounded):
             raise InputError("this optimum is rounded already")
         offered = {**mapping_of("catalogues", catalogues, "a variable's name -> its values"), **more}
-        solved = self._with_design()
+        solved = self._with_design().whole
         assert solved.rounder is not None, "only rounded optima have none"
         found: Rounded = solved.rounder(solved, offered)
         return found
@@ -626,7 +625,7 @@ class Optimum(LocalOptimum):
         if self.flat_directions:
             along = "; ".join(", ".join(name for name, change in d.items() if change) for d in self.flat_directions)
             raise InputError(f"the optimum is not unique and so has no sensitivities: fix one of {along}")
-        return self._with_design()
+        return self._with_design().whole
 
     def _with_design(self) -> Solved:
         if self.solved is None:
@@ -717,7 +716,7 @@ class Rounded(Optimum):
         """Return in words the values chosen, their cost, the number of combinations tried, and infeasible ones."""
         units = {limit.name: limit.unit for limit in self.limits}
         side = "below" if self.cost < 0.0 else "above"
-        cost = "as" if abs(self.cost_percent) < _NO_COST else f"{abs(self.cost_percent):.3g} % {side}"
+        cost = "as" if abs(self.cost_percent) < NO_PERCENTAGE else f"{abs(self.cost_percent):.3g} % {side}"
         text = (
             f"{values_in_words(self.variables, units)}: objective {self.objective:.{OBJECTIVE_DIGITS}g},"
             f" {cost} that of the optimum; {self._extent_of_search()}"
@@ -740,8 +739,3 @@ class Rounded(Optimum):
         if len(self.tried) < self.screened:
             return f"all {self.screened} combinations were evaluated and {len(self.tried)} of them optimised"
         return f"all {self.combinations} combinations were optimised" if self.combinations > 1 else "the only one"
-
-
-def values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """Return values of variables with their units."""
-    return ", ".join(f"{name} = {in_words(value, units[name])}" for name, value in values.items())

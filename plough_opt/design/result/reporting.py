@@ -1,6 +1,7 @@
 """Reports on local optima: their limits, names and warnings."""
 
 from collections.abc import Collection, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,12 +18,16 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
 from plough_opt.motion.solvers.checks import remarks as remarks_on_run
 
-# Mounts whose frequencies differ by less than this fraction share one name.
-_SAME_MOUNT = 0.02
-# A limit of a law is printed if it decides or if its margin is within this part of its scale.
-_NEARLY_MET = 0.05
-# With more mounts than this only the first is named.
-_MOST_MOUNTS = 4
+
+class _Named(NamedTuple):
+    """Which limits and mounts a report names."""
+
+    nearly_met: float = 0.05  # A limit of a law, unless it decides, if its margin is within this part of its scale.
+    same_mount: float = 0.02  # Mounts whose frequencies differ by less than this fraction share one name.
+    most_mounts: int = 4  # Of more mounts only the first.
+
+
+_NAMED = _Named()
 
 
 def remarks(sampled: Vector, point: Point, best: LocalOptimum, options: Collection[str]) -> Iterator[str]:
@@ -75,9 +80,7 @@ def _local_optimum(program: Program, landscape: Landscape, point: Point, name: s
     return LocalOptimum(
         name=name,
         objective=objective,
-        variables={
-            v.name: float(x) for v, x in zip(program.declared.variables, values, strict=True) if not v.auxiliary
-        },
+        variables=program.declared.named(values),
         limits=(*_requirements(program, point, found[1:]), *_bounds(program, point, values)),
         gap=gap_of(program, p, point),
         error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), SMALL * program.objective_scale),
@@ -92,12 +95,12 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
         if r.auxiliary:
             continue
         numbers, own, scale = value.ravel(), multipliers[owner == k], program.scales[k]
-        margins = np.minimum(numbers - r.low, r.high - numbers)
+        margins = r.margins(numbers)
         worst = int(np.argmin(margins))
         margin, multiplier = float(margins[worst]), float(np.sum(own) * program.objective_scale / scale)
         active = decides(margin / scale, float(np.max(own)))
         at = (float(numbers[worst]), r.limits_text(), margin, multiplier, active)
-        trivial = k >= len(program.own_requirements) and not active and margin > _NEARLY_MET * scale
+        trivial = k >= len(program.own_requirements) and not active and margin > _NAMED.nearly_met * scale
         limits.append(Limit(r.name, "requirement", *at, r.unit, r.shown, r.at_least, r.at_most, trivial))
     return limits
 
@@ -159,6 +162,6 @@ def _mounts(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[list[tu
             continue
         ratios = [float(own[k].natural_frequency / own[k].wave_frequency) for own in scenes]
         mount = [(str(own[k].branch), ratio) for own, ratio in zip(scenes, ratios, strict=True)]
-        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_SAME_MOUNT) for other in found):
+        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_NAMED.same_mount) for other in found):
             found.append(mount)
-    return found if len(found) <= _MOST_MOUNTS else found[:1]
+    return found if len(found) <= _NAMED.most_mounts else found[:1]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -20,7 +20,7 @@ from plough_opt.core.units import in_words
 from plough_opt.design.declarations import EVERYWHERE
 from plough_opt.design.model.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.model.optimality import (
-    FLAT_CURVATURE,
+    ZERO,
     decides,
     free_directions,
     independent,
@@ -31,15 +31,22 @@ from plough_opt.design.model.optimality import (
 from plough_opt.design.model.program import Program
 from plough_opt.design.model.tight_integration import TightEvaluation
 
-# Relative change of the value for which a check solves again: the differences have errors of its square, and of the
-# optimiser's 1e-10 divided by it.
-_CHECK_STEP = 2e-4
-# Elasticities below this are shown as 0 %.
-_NO_ELASTICITY = 1e-9
-# Results below this part of their size, the optimiser's tolerance, count as 0: they have no elasticity.
-_NO_RESULT = 1e-10
-# One-sided derivatives with a smaller relative difference count as equal.
-_SAME_RATE = 1e-9
+NO_PERCENTAGE = 1e-9
+"""A smaller percentage is rounding, and shown as 0."""
+
+
+class _Derivatives(NamedTuple):
+    """What of an optimum's derivatives is rounding, and by how much a check changes a value."""
+
+    same: float = 1e-9  # One-sided derivatives with a smaller relative difference count as equal.
+    # Results below this part of their size, the optimiser's tolerance, count as 0: they have no elasticity.
+    no_result: float = 1e-10
+    # Relative change of the value for which a check solves again: the differences have errors of its square, and of
+    # the optimiser's 1e-10 divided by it.
+    check_step: float = 2e-4
+
+
+_DERIVATIVES = _Derivatives()
 
 
 @dataclass(frozen=True)
@@ -101,7 +108,7 @@ class Sensitivity:
 def _percent(name: str, elasticity: float | None, derivative: float, unit: str) -> str:
     if elasticity is None:
         return f"{name} by {derivative:.4g} per {unit or 'unit'}"
-    return f"{name} by 0 %" if abs(elasticity) < _NO_ELASTICITY else f"{name} by {elasticity:+.4g} %"
+    return f"{name} by 0 %" if abs(elasticity) < NO_PERCENTAGE else f"{name} by {elasticity:+.4g} %"
 
 
 @dataclass(frozen=True)
@@ -140,6 +147,7 @@ class Solved:
         point: Point,
         fixed: Mapping[int, float] = MappingProxyType({}),
         rounder: Callable[[Solved, Mapping[str, Any]], Any] | None = None,
+        whole: Callable[[], Solved] | None = None,
     ) -> None:
         """Store an optimum of a built program.
 
@@ -149,8 +157,9 @@ class Solved:
             point: the optimum.
             fixed: number -> value of the variables that are held.
             rounder: (this object, catalogues) -> the optimum with some variables rounded.
+            whole: returns the same optimum with all that may begin to decide, if the program leaves some of it out.
         """
-        self.program, self.p, self.point, self.rounder = program, p, point, rounder
+        self.program, self.p, self.point, self.rounder, self._solve_whole = program, p, point, rounder, whole
         self._fixed = tuple(fixed)
         self.values = program.values(point.y)
         self.values[list(self._fixed)] = list(fixed.values())
@@ -162,6 +171,11 @@ class Solved:
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
         """Return None in place of the design's functions, which cannot be pickled."""
         return type(None), ()
+
+    @property
+    def whole(self) -> Solved:
+        """The same optimum with all that may begin to decide: for sensitivities and rounded variables."""
+        return self if self._solve_whole is None else self._solve_whole()
 
     def evaluate(self, expression: ca.MX) -> Vector:
         """Return the value of an expression of the design's symbols at the optimum, its runs integrated tightly.
@@ -190,25 +204,25 @@ class Solved:
         up, down = self._active.move(change, 1.0), self._active.move(change, -1.0)
         objective = self._active.objective_slope(change) * self.program.objective_scale
         best = self._active.f * self.program.objective_scale
-        rising, falling, sizes = map(self._in_units, (up.y, down.y, np.ones(len(up.y))))
-        values = dict(zip(rising, self._unscaled(self._active.y), strict=True))
+        named, slopes = self.program.declared.named, self._slopes
+        rising, falling = named(up.y * slopes), named(down.y * slopes)
+        sizes, values = named(slopes), named(self._unscaled(self._active.y))
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
-        names = [v.name for v in self.program.declared.variables if not v.auxiliary]
-        differs = bool(np.max(np.abs(up.y - down.y)) > _SAME_RATE * np.max(np.abs([up.y, down.y])))
+        differs = bool(np.max(np.abs(up.y - down.y)) > _DERIVATIVES.same * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
             value=target.value,
             unit=target.unit,
             objective=objective,
-            variables={v: rising[v] for v in names},
+            variables=rising,
             elasticity=_elasticity(objective, target.value, best, self.program.objective_scale),
-            elasticities={v: _elasticity(rising[v], target.value, values[v], sizes[v]) for v in names},
+            elasticities={v: _elasticity(rising[v], target.value, values[v], sizes[v]) for v in rising},
             valid_from=lowest,
             valid_to=highest,
             then=(below, above),
             touching=self._active.touching if differs else (),
-            falling={v: falling[v] for v in names},
+            falling=falling,
             difference=self._difference(target, objective, up, down) if check else None,
         )
 
@@ -255,12 +269,11 @@ class Solved:
 
     # --- units -------------------------------------------------------------------------------------------
 
-    def _in_units(self, dy: Vector) -> dict[str, float]:
-        """Return derivatives of the variables in their units from those of the scaled variables."""
-        return {
-            v.name: float(d) * v.slope(float(y))
-            for v, d, y in zip(self.program.declared.variables, dy, self._active.y, strict=True)
-        }
+    @property
+    def _slopes(self) -> Vector:
+        """Derivatives of the variables in their units by the scaled variables."""
+        found = zip(self.program.declared.variables, self._active.y.tolist(), strict=True)
+        return np.array([v.slope(y) for v, y in found])
 
     def _unscaled(self, y: Vector) -> list[float]:
         """Return the variables in their units, also beyond their declared bounds, which a check may move."""
@@ -276,15 +289,15 @@ class Solved:
         scales = np.r_[max(abs(here[0]), self.program.objective_scale), ranges]
         errors, steps = [], []
         for move, sign in ((up, 1.0), (down, -1.0)):
-            step = min(_CHECK_STEP * size, 0.5 * move.until)
-            expected = np.r_[objective, list(self._in_units(move.y).values())]
+            step = min(_DERIVATIVES.check_step * size, 0.5 * move.until)
+            expected = np.r_[objective, move.y * self._slopes]
             slope = (self._solved_at(target, sign * step) - here) / (sign * step)
             errors.append((slope - expected) * size / scales)
             steps.append(step)
         (rising, falling), (up_step, down_step) = errors, steps
         # If the same limits decide on both sides, the mean is free of the curvature.
         mean = (rising * down_step + falling * up_step) / (up_step + down_step)
-        same = np.allclose(up.y, down.y, rtol=1e-9, atol=0.0)
+        same = np.allclose(up.y, down.y, rtol=_DERIVATIVES.same, atol=0.0)
         return float(np.max(np.abs(mean if same else np.r_[rising, falling])))
 
     def _solved_at(self, target: _Target, step: float) -> Vector:
@@ -317,29 +330,36 @@ class Solved:
 
 def _elasticity(derivative: float, value: float, result: float, size: float) -> float | None:
     """Return per cent of a result per per cent of a value; None if the result is 0 but for rounding of its size."""
-    return None if abs(result) <= _NO_RESULT * size else derivative * value / result
+    return None if abs(result) <= _DERIVATIVES.no_result * size else derivative * value / result
 
 
 Mask = NDArray[np.bool_]
 
-# Newton's method ends when no scaled variable moves by more than this: the conditions then hold to rounding.
-_NEWTON_CONVERGED = 1e-12
-_MOST_NEWTON_STEPS = 10
-# Scaled distance from IPOPT's point beyond which Newton's method has left for another optimum.
-_LOST = 1e-3
-# Scaled margins and multipliers below this count as zero.
-_ZERO = 1e-8
-# Scaled gradients below this count as zero: a side that no variable changes cannot be touched by a design.
-_NO_GRADIENT = 1e-12
-# Where Newton's method fails and the curvature at IPOPT's point is below this, vanishing curvature is the reason.
-_SLOW_CURVATURE = 1e-4
-# Gradients of length 1 are linearly dependent if their matrix has a singular value below this. Rates of weakly active
-# sides count as zero if they are smaller than this part of the largest rate.
-_RANK = 1e-9
-# Relative rates below this are rounding: the side never begins or ceases to decide.
-_NO_RATE = 1e-13
-# More weakly active sides have too many subsets to try.
-_MOST_WEAK = 8
+
+class _Newton(NamedTuple):
+    """Bounds of Newton's method, which finds an optimum to rounding."""
+
+    # It ends when no scaled variable moves by more than this: the conditions then hold to rounding.
+    converged: float = 1e-12
+    most_steps: int = 10
+    lost: float = 1e-3  # scaled distance from IPOPT's point beyond which it has left for another optimum
+    # Where it fails and the curvature at IPOPT's point is below this, vanishing curvature is the reason.
+    slow_curvature: float = 1e-4
+
+
+class _Deciding(NamedTuple):
+    """Which sides of limits decide an optimum found to rounding, and which only touch it."""
+
+    zero: float = 1e-8  # Scaled margins and multipliers below this count as zero.
+    # Scaled gradients below this count as zero: a side that no variable changes cannot be touched by a design.
+    no_gradient: float = 1e-12
+    weak_rate: float = 1e-9  # Rates of weakly active sides below this part of the largest rate count as zero.
+    no_rate: float = 1e-13  # Relative rates below this are rounding: the side never begins or ceases to decide.
+    most_weak: int = 8  # More weakly active sides have too many subsets to try.
+
+
+_NEWTON = _Newton()
+_DECIDING = _Deciding()
 
 _FLAT = (
     "the objective does not curve along some direction at this optimum: designs near it are as good to second order,"
@@ -437,9 +457,9 @@ class ActiveSet:
         self._equal = np.array([side.equality for side in self.sides], dtype=bool)
         self._signs, self._bounds, self._logs = np.array([(one.sign, one.bound, one.log) for one in self.sides]).T
         self._settle(point)
-        self.deciding = self._equal | (self.mu > _ZERO)
-        touching = np.abs(self.slack) <= _ZERO
-        touching &= np.any(np.abs(self.gradients[:, : self.n]) > _NO_GRADIENT, axis=1)
+        self.deciding = self._equal | (self.mu > _DECIDING.zero)
+        touching = np.abs(self.slack) <= _DECIDING.zero
+        touching &= np.any(np.abs(self.gradients[:, : self.n]) > _DECIDING.no_gradient, axis=1)
         self.weak = np.flatnonzero(touching & ~self.deciding)
         self._refuse_degenerate()
 
@@ -447,24 +467,23 @@ class ActiveSet:
 
     def _settle(self, point: Point) -> None:
         """Solve the optimality conditions by Newton's method, correcting the active set after each step."""
-        both = np.r_[point.lam_g, point.lam_y]
-        mu = np.maximum(0.0, -self._signs * both[self._rows])
-        mu[self._equal] = (-self._signs * both[self._rows])[self._equal]
+        pulls = -self._signs * np.r_[point.lam_g, point.lam_y][self._rows]
+        mu = np.where(self._equal, pulls, np.maximum(0.0, pulls))
         self._evaluate(point.y, mu)
         active = self._equal | decides(self.slack, mu)
-        for _ in range(_MOST_NEWTON_STEPS):
+        for _ in range(_NEWTON.most_steps):
             mu = np.zeros(len(mu))
             step, mu[active] = self._newton_step(active, self.gradient[: self.n], self.slack[active])
             y = self.y + step
-            if not np.all(np.abs(y - point.y) < _LOST):
+            if not np.all(np.abs(y - point.y) < _NEWTON.lost):
                 break
             self._evaluate(y, mu)
             # An active side that pushes outwards is released; a broken one becomes active.
-            wrong = ~self._equal & np.where(active, mu < -_ZERO, self.slack < -_ZERO)
-            if not np.any(wrong) and np.max(np.abs(step)) < _NEWTON_CONVERGED:
+            wrong = ~self._equal & np.where(active, mu < -_DECIDING.zero, self.slack < -_DECIDING.zero)
+            if not np.any(wrong) and np.max(np.abs(step)) < _NEWTON.converged:
                 return
             active = active ^ wrong
-        if not self._curved(self.gradients[active, : self.n], _SLOW_CURVATURE):
+        if not self._curved(self.gradients[active, : self.n], _NEWTON.slow_curvature):
             raise InputError(_FLAT)
         raise NotConverged(
             "the limits that decide this optimum cannot be distinguished from those that it only touches", "unsettled"
@@ -537,27 +556,24 @@ class ActiveSet:
         stock = np.where(active, self.mu, np.maximum(self.slack, 0.0))
         rate = direction * np.where(active, mu_rate, opening)
         rate[self._equal] = 0.0
-        size = max(size, float(np.max(np.abs(rate), initial=0.0)))
-        if np.any(rate[self.weak] < -_RANK * size):
+        size = max(size, float(np.max(np.abs(rate))))
+        if np.any(rate[self.weak] < -_DECIDING.weak_rate * size):
             return None
         rate[self.weak] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(rate < -_NO_RATE * size, stock / -rate, np.inf)
-        first = int(np.argmin(reach)) if len(reach) else 0
-        if not len(reach) or not np.isfinite(reach[first]):
+            reach = np.where(rate < -_DECIDING.no_rate * size, stock / -rate, np.inf)
+        first = int(np.argmin(reach))  # A design has bounds, so it has sides.
+        if not np.isfinite(reach[first]):
             return Move(dy, math.inf, "")
         verb = "ceases" if active[first] else "begins"
         return Move(dy, float(reach[first]), f"{self.sides[first].name} {verb} to decide")
 
     def change(self, parameter: int | None, side: str) -> Change:
         """Return the change by one unit of a parameter, given by number, or of the limit of the sides with a name."""
-        q, b = np.zeros(len(self._p)), np.zeros(len(self.sides))
+        q = np.zeros(len(self._p))
         if parameter is not None:
             q[parameter] = 1.0
-        for k, own in enumerate(self.sides):
-            if own.name == side:
-                b[k] = own.per_unit
-        return q, b
+        return q, np.array([own.per_unit if own.name == side else 0.0 for own in self.sides])
 
     @property
     def parameters_that_matter(self) -> list[bool]:
@@ -582,19 +598,19 @@ class ActiveSet:
 
     def _refuse_degenerate(self) -> None:
         a = self.gradients[self.deciding, : self.n]
-        if not independent(a, _RANK):
+        if not independent(a, ZERO.rank):
             raise InputError(
                 f"the limits that decide ({', '.join(self.deciding_names)}) are not independent: their multipliers are"
                 " not unique, so there are no derivatives; drop or loosen one of them"
             )
-        if len(self.weak) > _MOST_WEAK:
+        if len(self.weak) > _DECIDING.most_weak:
             raise InputError(
                 f"too many limits just touch the optimum without deciding it: {', '.join(self.touching)}; loosen them"
             )
         if not self._curved(a):
             raise InputError(_FLAT)
 
-    def _curved(self, a: Vector, least: float = FLAT_CURVATURE) -> bool:
+    def _curved(self, a: Vector, least: float = ZERO.curvature) -> bool:
         """Return True if the Lagrangian curves upwards wherever sides with independent gradients ``a`` hold."""
         free = free_directions(a)
         # Dependent sides cannot all hold once one of their limits moves; least squares would move them apart.

@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,20 +32,21 @@ CAN_WIN = 0.15
 AUTO_SECONDS = 30.0
 """Processor time after which no further part of an automatic search begins [s]."""
 
-# Sample size by number of variables, a power of two.
-_DESIGNS = {1: 512, 2: 1024, 3: 2048, 4: 4096}
-_MOST_DESIGNS = 8192
-# Islands by number of variables. With four or more variables, one in two to four evolutions misses the best basin.
-_ISLANDS = {1: 0, 2: 1, 3: 2}
-_MOST_ISLANDS = 4
-# Most runs in a round, for designs with many runs: they take some seconds.
-_MOST_RUNS_IN_ROUND = 60_000
-# Most runs in a sample if they are integrated one by one, each for milliseconds.
-_ONE_BY_ONE = 256
-# Fewest designs of such a sample.
-_FEWEST_ONE_BY_ONE = 32
-# Rounds of a thorough search.
-_THOROUGH = 4
+
+class _Extent(NamedTuple):
+    """Bounds of the extent of a search."""
+
+    # Sample size, a power of two, with one, two, ... variables; the last one with more of them, too.
+    designs: tuple[int, ...] = (512, 1024, 2048, 4096, 8192)
+    # Islands likewise. With four or more variables, one in two to four evolutions misses the best basin.
+    islands: tuple[int, ...] = (0, 1, 2, 4, 4)
+    most_runs: int = 60_000  # in a round, for designs with many runs: they take some seconds
+    one_by_one: int = 256  # runs in a sample if they are integrated one by one, each for milliseconds
+    fewest_one_by_one: int = 32  # designs of such a sample
+    thorough: int = 4  # rounds of a thorough search
+
+
+_EXTENT = _Extent()
 # Largest number of designs accepted as `search`: it takes days.
 _MOST_ACCEPTED = 1_000_000_000
 # A text that begins like a number, "nan" and "inf" included.
@@ -114,14 +116,11 @@ class TimeLimit:
             self.left_out[part] = None
         return late
 
-    def warnings(self) -> tuple[str, ...]:
-        """Return a sentence on what was left out, if anything was."""
+    def warnings(self, rest: str) -> tuple[str, ...]:
+        """Return a sentence on what was left out, if anything was; ``rest`` of it has {} in place of the parts."""
         if not self.left_out:
             return ()
-        return (
-            f"after {AUTO_SECONDS:g} s of processor time the search left out {listed([*self.left_out])}: there may be a"
-            " better design; search='thorough', a number of designs or a time such as '5 min' has no such limit",
-        )
+        return (f"after {AUTO_SECONDS:g} s of processor time {rest.format(listed([*self.left_out]))}",)
 
 
 def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> Effort:
@@ -133,11 +132,13 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         runs: number of runs in a design.
         vectorised: whether the runs of many designs are integrated together.
     """
-    designs = min(_DESIGNS.get(dimensions, _MOST_DESIGNS), max(_ONE_BY_ONE, _MOST_RUNS_IN_ROUND // max(runs, 1)))
+    row = min(dimensions, len(_EXTENT.designs)) - 1
+    designs = min(_EXTENT.designs[row], max(_EXTENT.one_by_one, _EXTENT.most_runs // max(runs, 1)))
     designs = 1 << (designs.bit_length() - 1)  # only powers of two make Sobol points even
-    islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS_IN_ROUND else 0
+    islands = _EXTENT.islands[row] if designs * runs < _EXTENT.most_runs else 0
     if not vectorised:
-        designs, islands = 1 << (max(_FEWEST_ONE_BY_ONE, _ONE_BY_ONE // max(runs, 1)).bit_length() - 1), 0
+        designs = max(_EXTENT.fewest_one_by_one, _EXTENT.one_by_one // max(runs, 1))
+        designs, islands = 1 << (designs.bit_length() - 1), 0
     number = number_of(search)
     if number is not None and number < designs:
         # Less than a round: only a sample, of a power of two.
@@ -151,7 +152,7 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         descents=4 + 3 * dimensions,
         followed=4 + 2 * dimensions,
         dense=not many and search != "thorough",
-        rounds=_THOROUGH if search == "thorough" else 1,
+        rounds=_EXTENT.thorough if search == "thorough" else 1,
         most_designs=number,
         seconds=seconds_of(search),
     )

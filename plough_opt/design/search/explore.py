@@ -6,15 +6,16 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.search.effort import Effort, TimeLimit, expected_unseen
 from plough_opt.design.search.landscape import (
+    BASINS,
+    LEAST_GAIN,
     MANY_VARIABLES,
-    NEEDLE,
-    SAME,
     SEED,
     Evaluations,
     Landscape,
@@ -27,39 +28,47 @@ from plough_opt.design.search.landscape import (
     lines_through,
     local_minima,
     sample,
+    with_variables,
 )
 from plough_opt.design.search.local import Shortfall, descend, least_violation
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it done."""
 
-# A dip farther than this part of a line from the design on it counts as another one.
-_ANOTHER_DIP = 0.01
 
-# Boxes that are sampled around the best designs. Lengths are fractions of the range.
-_ZOOM_ROUNDS = 4
-_VIOLATION_ROUNDS = 16  # as long as it falls; the last per mille may take many
-_ZOOM_CENTRES = 2  # designs that get a box
-_ZOOM_SAMPLE = 256
-_ZOOM_RADIUS = 0.06  # half width of a box
-_ZOOM_RADII_IF_RARE = (0.06, 0.015, 0.004)  # If feasible designs are rare, their region may have any size.
-_ZOOM_DESCENTS = 4  # from each box
-_ZOOM_GAIN = 1e-6  # relative gain that justifies another round
-_ZOOM_ENDS = 64  # lowest ends of descents whose differences are steps to other ripples
-_ZOOM_TRANSLATIONS = 3  # rounds of such steps: a better ripple may lie several away
-_ZOOM_MOVES = 12  # descents from designs after such a step
-_ZOOM_DIGITS = 4  # of such steps: ends of the same descent differ in later digits
+class _Round(NamedTuple):
+    """Bounds of the parts of a round that the effort does not set."""
 
-# Designs of a sample that are integrated one by one between two looks at the clock: half a minute if they take long.
-_ONE_BY_ONE_BLOCK = 32
-# Where feasible designs are rare, descents also start from this many infeasible ones.
-_INFEASIBLE_STARTS = 4
-# An island has converged when the merits of its designs scatter by less than this fraction.
-_ISLAND_CONVERGED = 1e-7
-# At most this many points of the uniform part of a sample are followed to basins that are known already.
-_MOST_FOLLOWED = 256
-# With fewer expected unseen basins than this, the evolution, which might find one, is skipped.
-_FEW_UNSEEN = 0.1
+    # Designs between two looks at the clock: side by side, and one by one, which takes half a minute if they take long.
+    block: int = 2048
+    one_by_one: int = 32
+    infeasible_starts: int = 4  # of descents where feasible designs are rare
+    converged: float = 1e-7  # An island has converged when its merits scatter by less than this fraction.
+    most_followed: int = 256  # points of the uniform part of a sample, to basins that may be known already
+    few_unseen: float = 0.1  # With fewer expected unseen basins, the evolution, which might find one, is skipped.
+
+
+_ROUND = _Round()
+
+
+class _CloserLook(NamedTuple):
+    """Extent of the search in boxes around the best designs. Lengths are fractions of the range."""
+
+    rounds: int = 4
+    violation_rounds: int = 16  # as long as it falls; the last per mille may take many
+    centres: int = 2  # designs that get a box
+    sample: int = 256
+    radii: tuple[float, ...] = (0.06,)  # half width of a box
+    radii_if_rare: tuple[float, ...] = (0.06, 0.015, 0.004)  # The region of rare feasible designs may have any size.
+    descents: int = 4  # from each box
+    another_dip: float = 0.01  # A dip farther than this part of a line from the design on it counts as another one.
+    ends: int = 64  # lowest ends of descents whose differences are steps to other ripples
+    translations: int = 3  # rounds of such steps: a better ripple may lie several away
+    moves: int = 12  # descents from designs after such a step
+    digits: int = 4  # of such steps: ends of the same descent differ in later digits
+
+
+_LOOK = _CloserLook()
 
 
 def silent(_stage: str, _fraction: float) -> None:
@@ -79,14 +88,14 @@ class Explored:
         minima: the lowest design of each basin, best first by the search's criterion.
         followed: number of uniform sample points that were followed to their basins.
         reached: number of different basins in which these ended.
-        least_violating: if no feasible design was found: those found with the least violation, least first.
+        least_violating: for each round without a feasible design, those with the least violation, least first.
     """
 
     sample: Evaluations
     minima: Evaluations
     followed: int
     reached: int
-    least_violating: Evaluations | None = None
+    least_violating: Evaluations
 
 
 @dataclass
@@ -103,9 +112,10 @@ class Explorer:
         seed: of the samples.
         stop: returns True to end the search after its first descents.
         limit: of the processor time.
+        shortfall: of the landscape, to search for the least violation instead of the best design.
     """
 
-    landscape: Landscape | Shortfall
+    landscape: Landscape
     start: Vector
     variables: Sequence[int]
     criterion: Callable[[Vector], Vector]
@@ -114,26 +124,28 @@ class Explorer:
     seed: int = 0
     stop: Callable[[], bool] = lambda: False
     limit: TimeLimit = field(default_factory=partial(TimeLimit, "near"))
+    shortfall: Shortfall | None = None
     # Whether feasible designs are so rare that any of them ranks before all others.
-    _feasible_rare: bool = False
+    _feasible_rare: bool = field(init=False, default=False)
     # Descents start only from designs with at most this violation.
-    _most_violation: float = np.inf
-    _least_violating: Evaluations | None = None
-    _dense: bool = False
-    _samples: list[Evaluations] = field(default_factory=list)
+    _most_violation: float = field(init=False, default=np.inf)
+    _least_violating: Evaluations = field(init=False)
+    _dense: bool = field(init=False, default=False)
+    _samples: list[Evaluations] = field(init=False, default_factory=list)
     # Ends of descents, the criterion at each, and for pairs of them whether a barrier separates them.
-    _ends: list[Evaluations] = field(default_factory=list)
-    _ranks: list[float] = field(default_factory=list)
-    _separated: dict[tuple[int, int], bool] = field(default_factory=dict)
+    _ends: Evaluations = field(init=False)
+    _ranks: list[float] = field(init=False, default_factory=list)
+    _separated: dict[tuple[int, int], bool] = field(init=False, default_factory=dict)
     # For each followed point the number of the end it led to.
-    _followed: list[int] = field(default_factory=list)
+    _followed: list[int] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         self.variables = list(self.variables)
+        self._ends = self._least_violating = Evaluations.none(self.landscape.dimensions)
+        self._evaluate: Callable[[Vector], Evaluations] = self.shortfall or self.landscape
 
     def explore(self) -> Explored:
         """Return the result of as many rounds as the effort demands."""
-        assert isinstance(self.landscape, Landscape), "a search for the least violation is part of a round"
         began, rounds = time.perf_counter(), 0
         while rounds == 0 or self.effort.more(rounds, self.landscape.designs_tried, began):
             self._round(rounds)
@@ -152,8 +164,8 @@ class Explorer:
         if not np.any(np.isfinite(sampled.merit)):
             return
         rare = np.count_nonzero(sampled.feasible) < self.effort.population
-        if rare and isinstance(self.landscape, Landscape) and self.landscape.vectorised:
-            feasible = self._rare_feasible_designs(self.landscape, points, sampled, rng)
+        if rare and self.landscape.vectorised:
+            feasible = self._rare_feasible_designs(points, sampled, rng)
             if feasible is None:
                 return
             points = np.vstack([points, feasible.points[:, self.variables]])
@@ -162,8 +174,8 @@ class Explorer:
             self._search(points, sampled, rng, uniform, [] if number else [self.start])
 
     def _sampled(self, points: Vector) -> Evaluations:
-        """Return the designs of a sample; those that are integrated one by one only as long as there is time."""
-        block = len(points) if self.landscape.vectorised else _ONE_BY_ONE_BLOCK
+        """Return the designs of a sample, as many as there is time for."""
+        block = _ROUND.block if self.landscape.vectorised else _ROUND.one_by_one
         parts = []
         for begin in range(0, len(points), block):
             if begin and self.limit.passed(f"part of the sample of {len(points)} designs"):
@@ -172,22 +184,23 @@ class Explorer:
         return concatenated(parts)
 
     def _rare_feasible_designs(
-        self, landscape: Landscape, points: Vector, sampled: Evaluations, rng: np.random.Generator
+        self, points: Vector, sampled: Evaluations, rng: np.random.Generator
     ) -> Evaluations | None:
         """Return feasible designs from a search for the least violation, or None if it finds none."""
-        shortfall = Shortfall(landscape)
-        effort, criterion = replace(self.effort, followed=0), lambda y: shortfall(y).merit
-        search = Explorer(shortfall, self.start, self.variables, criterion, effort, self.progress, self.seed)
-        search.limit = self.limit
-        search.stop = lambda: shortfall.feasible_seen >= self.effort.population
+        shortfall = Shortfall(self.landscape)
+        search = replace(
+            self,
+            criterion=lambda y: shortfall(y).merit,
+            effort=replace(self.effort, dense=False),  # Every descent may come across feasible designs.
+            stop=lambda: shortfall.feasible_seen >= self.effort.population,
+            shortfall=shortfall,
+        )
         with suppress(_OutOfTime):
             search._search(points, sampled.without_objective(), rng, further=[self.start])
         self._feasible_rare, self._most_violation = True, float(sampled.violation.min())
         feasible = shortfall.feasible_designs()
         if feasible is None:
-            least = search._basins()[0]
-            known = self._least_violating
-            self._least_violating = least if known is None else concatenated([known, least])
+            self._least_violating = concatenated([self._least_violating, search._basins()[0]])
         return feasible
 
     def _search(
@@ -211,7 +224,8 @@ class Explorer:
         self._dense = effort.dense and not self._feasible_rare
         lowest, downhill = local_minima(points, self._merit(sampled))
         if self._feasible_rare:
-            lowest = np.r_[lowest[sampled.feasible[lowest]], lowest[~sampled.feasible[lowest]][:_INFEASIBLE_STARTS]]
+            feasible = sampled.feasible[lowest]
+            lowest = np.r_[lowest[feasible], lowest[~feasible][: _ROUND.infeasible_starts]]
         lowest = lowest[: effort.descents]
         starts = [*sampled.points[lowest], *further]
         ends: list[int] = []
@@ -226,7 +240,7 @@ class Explorer:
             # The basins that these reach may make the evolution unnecessary.
             self._follow(sampled, random_starts, known)
         unseen = expected_unseen(*self._follow_counts(self._basins()[1])) if self._dense and self._followed else None
-        if unseen is None or unseen > _FEW_UNSEEN:
+        if unseen is None or unseen > _ROUND.few_unseen:
             for island in range(effort.islands if len(self.variables) > 1 else 0):
                 if self.stop() or self.limit.passed("evolution"):
                     break
@@ -246,12 +260,9 @@ class Explorer:
 
     def _worth_descending(self, designs: Evaluations) -> np.ndarray:
         """Return whether a descent from each design is worth its time."""
-        promising: np.ndarray = (designs.violation <= self._most_violation) & np.isfinite(designs.f)
-        if not self._dense or isinstance(self.landscape, Shortfall):
-            return promising
+        promising = (designs.violation <= self._most_violation) & np.isfinite(designs.f)
         # A dense sample has led to the ends that infeasible designs lead to.
-        promising &= designs.feasible
-        return promising
+        return np.asarray(promising & designs.feasible if self._dense else promising)
 
     def _descend_from_dips(self, centre: Vector, radius: float = 1.0) -> None:
         """Descend from dips along each variable through a design: a sample may be too sparse to show them.
@@ -259,10 +270,10 @@ class Explorer:
         A share on a mount under a strength wave may have three optima; nothing else finds the third.
         """
         lines = lines_through(centre, self.variables, radius)
-        evaluated = self.landscape(lines)
+        evaluated = self._evaluate(lines)
         promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated))
         for k in dips:
-            if promising[k] and np.max(np.abs(lines[k] - centre)) > _ANOTHER_DIP * min(2.0 * radius, 1.0):
+            if promising[k] and np.max(np.abs(lines[k] - centre)) > _LOOK.another_dip * min(2.0 * radius, 1.0):
                 self.progress("descending from dips along each variable", 0.0)
                 self._end_from(lines[k])
 
@@ -279,31 +290,31 @@ class Explorer:
         self._descend_from_dips(minima.points[0])
         if len(self.variables) < 2:
             return
-        for _ in range(_VIOLATION_ROUNDS if isinstance(self.landscape, Shortfall) else _ZOOM_ROUNDS):
+        for _ in range(_LOOK.violation_rounds if self.shortfall else _LOOK.rounds):
             if self.stop() or self.limit.passed("a closer look at the best designs"):
                 return
-            centres, before = self._basins()[0].points[:_ZOOM_CENTRES], len(self._ends)
-            rare = self._feasible_rare or isinstance(self.landscape, Shortfall)
-            boxes = list(itertools.product(centres, _ZOOM_RADII_IF_RARE if rare else (_ZOOM_RADIUS,)))
+            centres, before = self._basins()[0].points[: _LOOK.centres], len(self._ends.f)
+            radii = _LOOK.radii_if_rare if self.shortfall or self._feasible_rare else _LOOK.radii
+            boxes = list(itertools.product(centres, radii))
             for number, (centre, radius) in enumerate(boxes):
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
                 self._descend_from_dips(centre, radius)
-            for _ in range(_ZOOM_TRANSLATIONS):
+            for _ in range(_LOOK.translations):
                 self._descend_from_translations()
-            merits = [float(self._merit(end)[0]) for end in self._ends]
-            lowest = min(merits[:before], default=np.inf)
-            if not min(merits[before:], default=np.inf) < lowest - _ZOOM_GAIN * abs(lowest):
+            merit = self._merit(self._ends)
+            lowest = np.min(merit[:before])
+            if not np.min(merit[before:], initial=np.inf) < lowest - LEAST_GAIN * abs(lowest):
                 return
 
     def _descend_inside(self, centre: Vector, radius: float, rng: np.random.Generator) -> None:
         """Descend from the lowest sampled designs of a box around a design."""
-        points, _ = sample(len(self.variables), _ZOOM_SAMPLE, np.full(len(self.variables), 0.5), rng)
-        designs = np.repeat(centre[None], len(points), axis=0)
-        designs[:, self.variables] = np.clip(centre[self.variables] + radius * (2.0 * points - 1.0), 0.0, 1.0)
-        evaluated = self.landscape(designs)
+        points, _ = sample(len(self.variables), _LOOK.sample, np.full(len(self.variables), 0.5), rng)
+        inside = np.clip(centre[self.variables] + radius * (2.0 * points - 1.0), 0.0, 1.0)
+        designs = with_variables(centre, self.variables, inside)
+        evaluated = self._evaluate(designs)
         promising = self._worth_descending(evaluated)
-        for k in local_minima(points, self._merit(evaluated))[0][:_ZOOM_DESCENTS]:
+        for k in local_minima(points, self._merit(evaluated))[0][: _LOOK.descents]:
             if promising[k]:
                 self._end_from(designs[k])
 
@@ -312,16 +323,15 @@ class Explorer:
 
         A box holds hardly any sample in the ripple next to the best one if that differs in several variables.
         """
-        ends = concatenated(self._ends)
-        merit = self._merit(ends)
-        order = apart(ends.points, np.argsort(merit, kind="stable"), SAME, _ZOOM_ENDS)
-        lowest, highest = ends.points[order], merit[order[-1]]
+        merit = self._merit(self._ends)
+        order = apart(self._ends.points, np.argsort(merit, kind="stable"), BASINS.same, _LOOK.ends)
+        lowest, highest = self._ends.points[order], merit[order[-1]]
         moved = np.clip(lowest[0] + (lowest[:, None] - lowest).reshape(-1, lowest.shape[1]), 0.0, 1.0)
-        moved = moved[np.unique(moved.round(_ZOOM_DIGITS), axis=0, return_index=True)[1]]
-        near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < SAME
-        tried = self.landscape(moved[~near])
+        moved = moved[np.unique(moved.round(_LOOK.digits), axis=0, return_index=True)[1]]
+        near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < BASINS.same
+        tried = self._evaluate(moved[~near])
         promising, merit = self._worth_descending(tried), self._merit(tried)
-        for k in np.argsort(merit, kind="stable")[:_ZOOM_MOVES]:
+        for k in np.argsort(merit, kind="stable")[: _LOOK.moves]:
             if promising[k] and merit[k] <= highest:
                 self._end_from(tried.points[k])
 
@@ -333,35 +343,33 @@ class Explorer:
             starts: for each uniform point, in random order, the number of the local minimum below it in the sample.
             known: ends of descents by the number of their start; new ones are added.
         """
-        left = self.effort.followed
-        for number, start in enumerate(starts[:_MOST_FOLLOWED]):
+        left, doing = self.effort.followed, "following designs drawn at random"
+        for number, start in enumerate(starts[: _ROUND.most_followed]):
             if start not in known:
-                if left == 0 or not np.isfinite(sampled.merit[start]):
-                    return
-                if self.limit.passed("following designs drawn at random"):
+                if left == 0 or not np.isfinite(sampled.merit[start]) or self.limit.passed(doing):
                     return
                 left -= 1
-                self.progress("following designs drawn at random", number / min(len(starts), _MOST_FOLLOWED))
+                self.progress(doing, number / min(len(starts), _ROUND.most_followed))
                 known[start] = self._end_from(sampled.points[start])
             self._followed.append(known[start])
 
     def _end_from(self, start: Vector) -> int:
         """Return the number of the end of a descent; with a dense sample a known end if the way to it only falls."""
-        if self._ends and self.limit.passed("further descents"):
+        if len(self._ends.f) and self.limit.passed("further descents"):
             raise _OutOfTime
         landscape = self.landscape
-        if self._ends and self._dense and isinstance(landscape, Landscape) and landscape.vectorised:
-            known = end_straight_downhill(landscape, start, concatenated(self._ends))
+        if len(self._ends.f) and self._dense and landscape.vectorised:
+            known = end_straight_downhill(landscape, start, self._ends)
             if known is not None:
                 return known
-        self._ends.append(self._descended(start))
-        return len(self._ends) - 1
+        self._ends = concatenated([self._ends, self._descended(start)])
+        return len(self._ends.f) - 1
 
     def _descended(self, start: Vector) -> Evaluations:
         """Return the end of a descent. If runs are integrated one by one it is the start: the optimiser descends."""
         landscape = self.landscape
-        if isinstance(landscape, Shortfall):
-            return landscape.descend(start)
+        if self.shortfall:
+            return self.shortfall.descend(start)
         if landscape.vectorised and self._feasible_rare and not landscape(start[None]).feasible[0]:
             # A descent of the merit would pass by the few feasible designs.
             feasible = least_violation(landscape, start)
@@ -372,9 +380,7 @@ class Explorer:
 
     def _full_designs(self, points: Vector) -> Vector:
         """Return designs with the searched variables at these points and the others at the start."""
-        designs = np.repeat(self.start[None], len(points), axis=0)
-        designs[:, self.variables] = points
-        return designs
+        return with_variables(self.start, self.variables, points)
 
     def _evolved(self, points: Vector, sampled: Evaluations, island: int, rng: np.random.Generator) -> Vector:
         """Return the best design of an evolution that starts from a part of the sample."""
@@ -382,25 +388,24 @@ class Explorer:
         self.progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
         order = np.argsort(self._merit(sampled), kind="stable")
         best = evolved(
-            lambda x: self._merit(self.landscape(self._full_designs(x))),
+            lambda x: self._merit(self._evaluate(self._full_designs(x))),
             # Each island takes its own part of the best designs.
             points[order[island :: effort.islands][: effort.population]],
             effort.generations,
             rng,
             # Every second island mutates random designs instead of the best one.
             from_best=island % 2 == 0 and points.shape[1] < MANY_VARIABLES,
-            alike=_ISLAND_CONVERGED,
+            alike=_ROUND.converged,
             stop=lambda: self.limit.passed("further generations of the evolution"),
         )
-        design: Vector = self._full_designs(best[None])[0]
-        return design
+        return np.asarray(self._full_designs(best[None])[0])
 
     def _basins(self) -> tuple[Evaluations, list[int | None]]:
         """Return the lowest design of each basin, best first, and the basin of each end; None for an end left out.
 
         If any end is feasible, infeasible ones are left out.
         """
-        ends = concatenated(self._ends) if self._ends else self._samples[0].select(slice(0, 0))
+        ends = self._ends
         basin: list[int | None] = [None] * len(ends.f)
         valid = np.flatnonzero(ends.feasible if np.any(ends.feasible) else np.isfinite(ends.merit))
         if len(ends.f) > len(self._ranks):
@@ -414,7 +419,7 @@ class Explorer:
             if same is None:
                 minima.append(k)
                 lowest.append(k)
-            elif merit[k] < merit[lowest[same]] and ranks[k] - ranks[minima[same]] <= NEEDLE * abs(ranks[k]):
+            elif merit[k] < merit[lowest[same]] and ranks[k] <= ranks[minima[same]] + BASINS.needle * abs(ranks[k]):
                 # The medians of a basin's ripples differ by chance, but for a needle's.
                 lowest[same] = k
         return ends.select(lowest), basin
@@ -423,13 +428,13 @@ class Explorer:
         """Return the number of the first minimum that no barrier separates from end k, or None."""
         if not minima:
             return None
-        near = np.flatnonzero(np.max(np.abs(ends.points[minima] - ends.points[k]), axis=1) < SAME)
+        near = np.flatnonzero(np.max(np.abs(ends.points[minima] - ends.points[k]), axis=1) < BASINS.same)
         if len(near):
             return int(near[0])
         if not self.landscape.vectorised:
             return None
         if new := [j for j in minima if (k, j) not in self._separated]:
-            separated = barriers(self.landscape, ends.select([k]), ends.select(new)).tolist()
+            separated = barriers(self._evaluate, ends.select([k]), ends.select(new)).tolist()
             for j, barrier in zip(new, separated, strict=True):
                 self._separated[k, j] = self._separated[j, k] = barrier
         return next((number for number, j in enumerate(minima) if not self._separated[k, j]), None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,45 +13,39 @@ from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.optimality import difference_quotients
 from plough_opt.design.model.program import Program
 
-FEASIBLE = 1e-6
-"""A search counts a design as feasible if its scaled violations sum to at most this."""
-
-FEASIBLE_ANSWER = 5e-10
-"""The same threshold for a design that is returned as an answer."""
-
 FINER = 2.0
 """Factor on a sample's number of steps, used for descents and comparisons, which need more accuracy."""
 
-PENALTY = 100.0
-"""Weight of a violation in the merit: it must outweigh any gain in the scaled objective, which is of order 1."""
+LEAST_GAIN = 1e-6
+"""Relative gain of the merit that justifies another look at the best designs."""
 
-SAME = 1e-3
-"""Two scaled designs count as the same if no variable differs by more than this."""
 
-BARRIER = 1e-3
-"""A rise of the merit by this fraction is a barrier between basins; a lower one is a ripple."""
+class Violation(NamedTuple):
+    """Which violations of the requirements a search allows, and what they weigh."""
 
-NEEDLE = 0.05
-"""An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction.
+    allowed: float = 1e-6  # sum of the scaled violations of a design that a search counts as feasible
+    allowed_in_answer: float = 5e-10  # the same for a design that is returned as an answer
+    weight: float = 100.0  # in the merit: it must outweigh any gain in the scaled objective, which is of order 1
+    # Base merit of an infeasible design: above every scaled objective, yet small enough not to swallow the digits of
+    # the violation that is added to it.
+    infeasible: float = 1e8
 
-The fraction is of the objective's magnitude, and at least of a quarter of its typical size over all designs.
-"""
 
-# Base merit of an infeasible design: above every scaled objective, yet small enough not to swallow the digits of the
-# violation that is added to it.
-_INFEASIBLE_MERIT = 1e8
+VIOLATION = Violation()
 
-# Positions between two designs at which a barrier is looked for.
-_BARRIER_POSITIONS = 24
 
-# Positions along a descent path. They are denser towards both ends, where narrow basins would show.
-_PATH_POSITIONS = 40
-# The merit may rise by this fraction along a descent path, because of rounding and the accuracy of the end itself.
-_PATH_RISE = 1e-6
-# Only paths to this many of the nearest ends are examined.
-_NEAREST_ENDS = 4
-# Every fifth position is evaluated first.
-_COARSE_STRIDE = 5
+class Basins(NamedTuple):
+    """What tells designs, basins and needles apart."""
+
+    same: float = 1e-3  # Two scaled designs count as the same if no variable differs by more than this.
+    # A rise of the merit by this fraction is a barrier between basins; a lower one is a ripple.
+    barrier: float = 1e-3
+    # An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction: of
+    # the objective's magnitude, and at least of a quarter of its typical size over all designs.
+    needle: float = 0.05
+
+
+BASINS = Basins()
 
 
 @dataclass(frozen=True)
@@ -69,20 +63,25 @@ class Evaluations:
     f: Vector
     violation: Vector
 
+    @classmethod
+    def none(cls, dimensions: int) -> Evaluations:
+        """Return no design, with a number of variables."""
+        return cls(np.empty((0, dimensions)), np.empty(0), np.empty(0))
+
     @property
     def feasible(self) -> np.ndarray:
         """Whether each design meets all requirements."""
-        return self.violation <= FEASIBLE
+        return self.violation <= VIOLATION.allowed
 
     @property
     def merit(self) -> Vector:
         """Objective plus penalty for violations; infinite where the design cannot be evaluated."""
-        return np.where(np.isfinite(self.f), self.f + PENALTY * self.violation, np.inf)
+        return np.where(np.isfinite(self.f), self.f + VIOLATION.weight * self.violation, np.inf)
 
     @property
     def strict_merit(self) -> Vector:
         """A merit that ranks every feasible design before every infeasible one."""
-        infeasible = _INFEASIBLE_MERIT + np.minimum(self.violation, _INFEASIBLE_MERIT)
+        infeasible = VIOLATION.infeasible + np.minimum(self.violation, VIOLATION.infeasible)
         return np.where(np.isfinite(self.f), np.where(self.feasible, self.f, infeasible), np.inf)
 
     def select(self, which: Any) -> Evaluations:
@@ -191,6 +190,21 @@ class Landscape:
 # --- straight lines between designs: they show whether two designs lie in one basin --------------------------
 
 
+class _StraightLines(NamedTuple):
+    """Positions on straight lines between designs, and how far the merit may rise along them."""
+
+    barrier_positions: int = 24  # at which a barrier between two designs is looked for
+    # Along a descent path. They are denser towards both ends, where narrow basins would show.
+    path_positions: int = 40
+    stride: int = 5  # Every fifth of these is evaluated first.
+    # Fraction of the merit by which it may rise along such a path, because of rounding and the accuracy of the end.
+    path_rise: float = 1e-6
+    nearest_ends: int = 4  # Only paths to this many are examined.
+
+
+_LINES = _StraightLines()
+
+
 def barriers(evaluate: Callable[[Vector], Evaluations], one: Evaluations, others: Evaluations) -> NDArray[np.bool_]:
     """Return for each of several designs whether a barrier, more than a ripple, separates it from one design.
 
@@ -199,12 +213,11 @@ def barriers(evaluate: Callable[[Vector], Evaluations], one: Evaluations, others
         one: the one design.
         others: the other designs.
     """
-    fractions = np.linspace(0.0, 1.0, _BARRIER_POSITIONS + 2)[1:-1]
+    fractions = np.linspace(0.0, 1.0, _LINES.barrier_positions + 2)[1:-1]
     lines = one.points + fractions[:, None, None] * (others.points - one.points)
-    merit = evaluate(lines.reshape(-1, lines.shape[2])).merit.reshape(_BARRIER_POSITIONS, -1)
+    merit = evaluate(lines.reshape(-1, lines.shape[2])).merit.reshape(_LINES.barrier_positions, -1)
     higher = np.maximum(others.merit, one.merit)
-    found: NDArray[np.bool_] = merit.max(axis=0) > higher + BARRIER * np.abs(higher)
-    return found
+    return np.asarray(merit.max(axis=0) > higher + BASINS.barrier * np.abs(higher))
 
 
 def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations) -> int | None:
@@ -216,25 +229,30 @@ def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations
     distance = np.max(np.abs(ends.points - start), axis=1)
     # Rounding the distance puts ends of the same basin side by side: of these the lowest is taken.
     order = np.lexsort((ends.merit, distance.round(3)))
-    near = apart(ends.points, order[np.isfinite(ends.merit[order])], SAME, _NEAREST_ENDS)
-    fractions = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _PATH_POSITIONS))
+    near = apart(ends.points, order[np.isfinite(ends.merit[order])], BASINS.same, _LINES.nearest_ends)
+    fractions = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _LINES.path_positions))
     # Most paths rise early or not at all: a few positions rule out most of those that rise.
-    for some in (fractions[::_COARSE_STRIDE], np.delete(fractions, np.s_[::_COARSE_STRIDE])):
+    for some in (fractions[:: _LINES.stride], np.delete(fractions, np.s_[:: _LINES.stride])):
         if near:
             falling = _only_fall(landscape, start, ends.points[near], some)
             near = [k for k, falls in zip(near, falling, strict=True) if falls]
     return near[0] if near else None
 
 
-def _only_fall(landscape: Landscape, start: Vector, ends: Vector, fractions: Vector) -> list[bool]:
+def _only_fall(landscape: Landscape, start: Vector, ends: Vector, fractions: Vector) -> NDArray[np.bool_]:
     """Return for each end whether the merit only falls over these fractions of the line from the start."""
     lines = start + fractions[:, None] * (ends - start)[:, None]
     # Equal numbers of steps along a line: a change of the number would look like a rise.
     merit = landscape(lines.reshape(-1, len(start)), together=len(fractions)).merit.reshape(-1, len(fractions))
     with np.errstate(invalid="ignore"):
-        rise = np.max(merit[:, 1:] - np.minimum.accumulate(merit, axis=1)[:, :-1], axis=1)
-        falls: list[bool] = (np.isfinite(merit).all(axis=1) & (rise <= _PATH_RISE * np.abs(merit[:, -1]))).tolist()
-    return falls
+        small = largest_rise(merit) <= _LINES.path_rise * np.abs(merit[:, -1])
+    return np.asarray(np.isfinite(merit).all(axis=1) & small)
+
+
+def largest_rise(merit: Vector) -> Vector:
+    """Return how far the merit rises above its lowest value before, at most, along each line (the last axis)."""
+    with np.errstate(invalid="ignore"):  # a rise from infinity counts as NaN
+        return np.asarray(np.max(merit - np.minimum.accumulate(merit, axis=-1), axis=-1))
 
 
 # For dimensions 2 and above: degree, inner coefficients and first direction numbers of the primitive polynomials. From
@@ -264,8 +282,7 @@ def sobol_points(n: int, count: int, rng: np.random.Generator) -> NDArray[np.flo
     if n > MOST_DIMENSIONS:
         from scipy.stats.qmc import Sobol  # slow to import
 
-        points: NDArray[np.float64] = Sobol(n, rng=rng).random(count)
-        return points
+        return np.asarray(Sobol(n, rng=rng).random(count))
     (rng,) = rng.spawn(1)
     shift = _as_numbers(rng.integers(2, size=(n, _BITS), dtype=np.uint32)[:, ::-1])
     mixing = np.tril(rng.integers(2, size=(n, _BITS, _BITS), dtype=np.uint32), -1) | np.eye(_BITS, dtype=np.uint32)
@@ -281,8 +298,7 @@ def sobol_points(n: int, count: int, rng: np.random.Generator) -> NDArray[np.flo
 
 def _as_numbers(bits: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """Return the numbers whose bits, highest first, lie along the last axis."""
-    found: NDArray[np.uint32] = (bits << np.arange(_BITS - 1, -1, -1, dtype=np.uint32)).sum(axis=-1, dtype=np.uint32)
-    return found
+    return np.asarray((bits << np.arange(_BITS - 1, -1, -1, dtype=np.uint32)).sum(axis=-1, dtype=np.uint32))
 
 
 def _directions(n: int) -> NDArray[np.uint32]:
@@ -304,18 +320,24 @@ SEED = 2008
 MANY_VARIABLES = 6
 """With at least this many variables, an evolution that mutates its best design misses basins."""
 
-# Half of the sample is stretched by this fraction of the range on either side and clipped, so that it includes bounds
-# and corners.
-_STRETCH = 0.15
-# A point of a sample is a local minimum if it is lower than this many neighbours for each variable.
-_NEIGHBOURS_PER_VARIABLE = 4
 # Stands for infinity in an evolution, whose arithmetic must stay finite where designs cannot be evaluated.
 _WORST = 1e30
-# Default size of an evaluated sample.
-_SAMPLE_SIZE = 1024
 
 
-def evaluated_sample(landscape: Landscape, count: int = _SAMPLE_SIZE) -> Evaluations:
+class _Sample(NamedTuple):
+    """Extent of a sample, and of what counts as a local minimum in it."""
+
+    size: int = 1024  # by default
+    # Half of it is stretched by this fraction of the range on either side and clipped, so that it includes bounds and
+    # corners.
+    stretch: float = 0.15
+    neighbours: int = 4  # for each variable; a local minimum is lower than all of them
+
+
+_SAMPLE = _Sample()
+
+
+def evaluated_sample(landscape: Landscape, count: int = _SAMPLE.size) -> Evaluations:
     """Return a sample of a landscape over all its variables; its size must be a power of two."""
     middle = np.full(landscape.dimensions, 0.5)
     points, _ = sample(landscape.dimensions, count, middle, np.random.default_rng(SEED))
@@ -337,31 +359,39 @@ def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple
         return np.vstack([grid, start[None]]), rng.permutation(count)
     points = sobol_points(n, count, rng)
     half = count // 2
-    points[half:] = np.clip((1.0 + 2.0 * _STRETCH) * points[half:] - _STRETCH, 0.0, 1.0)
+    points[half:] = np.clip((1.0 + 2.0 * _SAMPLE.stretch) * points[half:] - _SAMPLE.stretch, 0.0, 1.0)
     return np.vstack([points, start[None], np.full((1, n), 0.5)]), rng.permutation(half)
 
 
-LINE_POSITIONS = 128
-"""Positions on each line along a variable through a design."""
+class _AlongVariables(NamedTuple):
+    """Extent of a look along each variable through a design."""
 
-DIPS_PER_VARIABLE = 4
-"""Dips on such lines, as many times the number of variables, from which descents start."""
+    positions: int = 128  # on each line
+    dips: int = 4  # from which descents start, as many times the number of variables
+
+
+_ALONG = _AlongVariables()
+
+
+def with_variables(y: Vector, variables: Sequence[int], points: Any) -> Vector:
+    """Return copies of a scaled design with some variables, by number, at other points, a row each."""
+    designs = np.repeat(y[None], len(points), axis=0)
+    designs[:, variables] = points
+    return designs
 
 
 def lines_through(y: Vector, variables: Sequence[int], radius: float = 1.0) -> Vector:
-    """Return `LINE_POSITIONS` designs along each of the given variables, a row each.
+    """Return designs along each of the given variables, equally many on each line, a row each.
 
     Args:
         y: a scaled design.
         variables: numbers of the variables.
         radius: length of the lines on either side of the design; they end at bounds.
     """
-    lines = np.repeat(y[None], LINE_POSITIONS * len(variables), axis=0)
-    for k, variable in enumerate(variables):
-        lines[k * LINE_POSITIONS : (k + 1) * LINE_POSITIONS, variable] = np.linspace(
-            max(y[variable] - radius, 0.0), min(y[variable] + radius, 1.0), LINE_POSITIONS
-        )
-    return lines
+    lines = np.tile(y, (len(variables), _ALONG.positions, 1))
+    for line, k in zip(lines, variables, strict=True):
+        line[:, k] = np.linspace(max(y[k] - radius, 0.0), min(y[k] + radius, 1.0), _ALONG.positions)
+    return lines.reshape(-1, len(y))
 
 
 def local_minima(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]:
@@ -377,7 +407,7 @@ def local_minima(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]
     from scipy.spatial import KDTree  # slow to import
 
     n = points.shape[1]
-    count = min(_NEIGHBOURS_PER_VARIABLE * n if n > 1 else 2, len(points) - 1)
+    count = min(_SAMPLE.neighbours * n if n > 1 else 2, len(points) - 1)
     _, around = KDTree(points).query(points, k=count + 1)
     around = np.hstack([np.arange(len(points))[:, None], around])
     ends = around[np.arange(len(points)), np.argmin(merit[around], axis=1)]
@@ -394,11 +424,10 @@ def dips_along(merit: Vector) -> np.ndarray:
     Args:
         merit: of each position, line after line.
     """
-    lines = merit.reshape(-1, LINE_POSITIONS)
+    lines = merit.reshape(-1, _ALONG.positions)
     wall = np.pad(lines, ((0, 0), (1, 1)), constant_values=np.inf)
     dips = np.flatnonzero(((wall[:, 1:-1] < wall[:, :-2]) & (wall[:, 1:-1] <= wall[:, 2:])).ravel())
-    lowest_first: np.ndarray = dips[np.argsort(merit[dips], kind="stable")]
-    return lowest_first[: DIPS_PER_VARIABLE * len(lines)]
+    return np.asarray(dips[np.argsort(merit[dips], kind="stable")][: _ALONG.dips * len(lines)])
 
 
 def evolved(
@@ -438,5 +467,4 @@ def evolved(
         vectorized=True,
         callback=lambda intermediate_result: stop(),  # noqa: ARG005, SciPy passes it by this name
     )
-    best: Vector = found.x
-    return best
+    return np.asarray(found.x)

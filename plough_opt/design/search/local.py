@@ -1,15 +1,14 @@
 """Local searches: sequential quadratic programming on a landscape, and from a basin's bottom to full accuracy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from plough_opt.core.plain_data import Array
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.optimality import (
-    PULLS,
+    ZERO,
     curvature_of,
     difference_quotients,
     free_directions,
@@ -24,74 +23,83 @@ from plough_opt.design.model.optimality import (
     symmetric,
     without_rounding,
 )
-from plough_opt.design.model.program import Program
+from plough_opt.design.model.program import Program, cached
 from plough_opt.design.search.effort import TimeLimit
-from plough_opt.design.search.landscape import (
-    FEASIBLE,
-    FEASIBLE_ANSWER,
-    FINER,
-    PENALTY,
-    Evaluations,
-    Landscape,
-    concatenated,
-)
+from plough_opt.design.search.landscape import FINER, VIOLATION, Evaluations, Landscape, concatenated
 
-Box = tuple[Vector, Vector]
+Box = tuple[Vector | float, Vector | float]
 """Lower and upper bounds of scaled variables."""
 
-# Weight of a violation within the feasibility tolerance, so high that the objective cannot exploit the tolerance.
-_WEIGHT_IF_FEASIBLE = 1e4
-_MOST_DESCENT_STEPS = 25
-# Longest step of a descent, as far as the quadratic programs of a multimodal landscape mean anything.
-_LONGEST_DESCENT: Final = 0.3
-# A descent ends when a step is shorter than this, or lowers the merit by less than this fraction: along a flat valley
-# IPOPT goes on.
-_SHORTEST: Final = 1e-7
-_LEAST_GAIN: Final = 1e-7
-# Fractions of a step that are tried side by side. Steps where curvatures are negative are too short; therefore these
-# parts of the longest step are tried, too, along the direction of the most negative curvature. From a place between two
-# ripples quadratic programs lead to the wide one, and a search of eight variables misses the narrow one.
-_FRACTIONS: Final = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
-_WHOLE: Final = 1  # position of the whole step among them
-_LENGTHS: Final = 0.5 ** np.arange(12)
-# A direction counts as one of negative curvature below this, relative to the largest: quotients are not more accurate.
-_CONCAVE: Final = -1e-4
-# A slope below this part of what the curvature adds over the longest step does not show the lower side: try both.
-_LEVEL: Final = 1e-3
-# If even the whole step leads up and no fraction down, there is a kink nearby, across which quotients show no slope:
-# they are formed over this part of the distance, and so is the longest step, until it is this part of the first. Over
-# much less a run's rounding (about 1e-13) would drown the slopes.
-_SHORTER: Final = 0.03
-_SHORTEST_REACH: Final = 1e-4
-# A violation weighs this many times the largest multiplier; above 1 no optimum breaks a limit.
-_OVER_MULTIPLIERS: Final = 2.0
-# A requirement with many rows, such as a deflection at every output, enters a descent with its worst rows only.
-_MOST_ROWS = 6
-# The first step needs several rounds, because the curvature depends on the multipliers that the step yields.
-_ROUNDS: Final = 3
+# The first step of quadratic programs needs several rounds, because the curvature depends on the multipliers that the
+# step yields.
+_FIRST_ROUNDS: Final = 3
 
 
-def descend(landscape: Landscape, start: Vector, box: Box | None = None) -> Evaluations:
+class _DescentSteps(NamedTuple):
+    """Bounds of a descent's steps: how many, how long, and which are tried side by side."""
+
+    most: int = 25
+    longest: float = 0.3  # as far as the quadratic programs of a multimodal landscape mean anything
+    # A descent ends when a step is shorter than this, or lowers the merit by less than this fraction: along a flat
+    # valley IPOPT goes on.
+    shortest: float = 1e-7
+    least_gain: float = 1e-7
+    # Fractions of a step that are tried side by side. Steps where curvatures are negative are too short; therefore
+    # these parts of the longest step are tried, too, along the direction of the most negative curvature. From a place
+    # between two ripples quadratic programs lead to the wide one, and a search of eight variables misses the narrow
+    # one.
+    fractions: Vector = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
+    whole: int = 1  # position of the whole step among them
+    lengths: Vector = 0.5 ** np.arange(12.0)
+    # A direction counts as one of negative curvature below this, relative to the largest: quotients are not more
+    # accurate.
+    concave: float = -1e-4
+    # A slope below this part of what the curvature adds over the longest step does not show the lower side: try both.
+    level: float = 1e-3
+    # If even the whole step leads up and no fraction down, there is a kink nearby, across which quotients show no
+    # slope: they are formed over this part of the distance, and so is the longest step, until it is this part of the
+    # first. Over much less a run's rounding (about 1e-13) would drown the slopes.
+    shorter: float = 0.03
+    shortest_reach: float = 1e-4
+
+
+_DESCENT = _DescentSteps()
+
+
+class _DescentLimits(NamedTuple):
+    """What the limits of the requirements weigh in a descent, and how many of their rows take part."""
+
+    # Of a violation within the feasibility tolerance, so high that the objective cannot exploit the tolerance.
+    weight_if_feasible: float = 1e4
+    # A violation weighs this many times the largest multiplier; above 1 no optimum breaks a limit.
+    over_multipliers: float = 2.0
+    # A requirement with many rows, such as a deflection at every output, enters with its worst rows only.
+    most_rows: int = 6
+
+
+_LIMITS = _DescentLimits()
+
+
+def descend(landscape: Landscape, start: Vector, box: Box = (0.0, 1.0)) -> Evaluations:
     """Return the end of a descent from a scaled start within bounds, by default 0 and 1; never worse than the start.
 
     If runs are integrated one by one, a descent takes too long and the start is returned.
     """
     if not landscape.vectorised:
         return landscape(start[None])
-    descent = _Descent(landscape, box)
-    start = np.clip(start, *descent.box)
+    start = np.clip(start, *box)
     if landscape.eliminated:
-        start = np.clip(landscape(start[None]).points[0], *descent.box)
-    return descent.end_from(start)
+        start = np.clip(landscape(start[None]).points[0], *box)
+    return _Descent(landscape, box).end_from(start)
 
 
 def nearest_feasible(landscape: Landscape, design: Vector, start: Vector | None = None) -> Evaluations:
     """Return the feasible design nearest to a given one, as a local search finds it from a start or from the design."""
-    descent = _Descent(landscape, None, lambda points, _: np.sum((points - design) ** 2, axis=1))
+    descent = _Descent(landscape, (0.0, 1.0), lambda points, _: np.sum((points - design) ** 2, axis=1))
     return descent.end_from(design if start is None else start)
 
 
-def least_violation(landscape: Landscape, start: Vector, box: Box | None = None) -> Evaluations:
+def least_violation(landscape: Landscape, start: Vector, box: Box = (0.0, 1.0)) -> Evaluations:
     """Return the local minimum near a start of the summed violations."""
     return _Descent(landscape, box, lambda _, f: np.zeros_like(f)).end_from(start)
 
@@ -100,7 +108,6 @@ class Shortfall:
     """A landscape's violations without its objective; it collects the feasible designs that a search comes across.
 
     Attributes:
-        vectorised: whether all runs of many designs are integrated together.
         feasible_seen: number of feasible designs evaluated so far, repetitions included.
     """
 
@@ -108,7 +115,7 @@ class Shortfall:
         """Take the landscape."""
         self._landscape = landscape
         self._feasible: list[Evaluations] = []
-        self.vectorised, self.feasible_seen = landscape.vectorised, 0
+        self.feasible_seen = 0
 
     def __call__(self, points: Vector) -> Evaluations:
         """Evaluate the violations of designs, a row each."""
@@ -141,41 +148,40 @@ class _Descent:
     """
 
     def __init__(
-        self, landscape: Landscape, box: Box | None, objective: Callable[[Vector, Vector], Vector] = lambda _, f: f
+        self, landscape: Landscape, box: Box, objective: Callable[[Vector, Vector], Vector] = lambda _, f: f
     ) -> None:
         """Prepare a descent.
 
         Args:
             landscape: the landscape.
-            box: bounds of the scaled variables; by default 0 and 1.
+            box: bounds of the scaled variables.
             objective: scaled designs and their scaled objectives -> what to minimise.
         """
-        self._landscape, self._program, self._objective = landscape, landscape.program, objective
-        self.box = (np.zeros(landscape.dimensions), np.ones(landscape.dimensions)) if box is None else box
+        self._landscape, self._program, self._objective, self._box = landscape, landscape.program, objective, box
         # The best design so far: whether it is infeasible, its merit, and its variables.
         self._best: tuple[bool, float, list[float]] | None = None
 
     def end_from(self, start: Vector) -> Evaluations:
         """Return the best design on the way of a descent from a start."""
         y, lam_g, rows, weight, reach = start, np.zeros(len(self._program.low)), np.empty(0, dtype=int), 1.0, 1.0
-        for number in range(_MOST_DESCENT_STEPS):
+        for number in range(_DESCENT.most):
             derivatives = difference_quotients(self._neighbours, y, reach)
             if derivatives is None:
                 break
             rows = np.union1d(rows, self._worst_rows(derivatives[0][1:]))
-            moves, lam_g[rows] = self._moves(y, derivatives, rows, lam_g[rows], 1 if number else _ROUNDS, reach)
-            if np.max(np.abs(moves[_WHOLE])) < reach * _SHORTEST:
+            moves, lam_g[rows] = self._moves(y, derivatives, rows, lam_g[rows], 1 if number else _FIRST_ROUNDS, reach)
+            if np.max(np.abs(moves[_DESCENT.whole])) < reach * _DESCENT.shortest:
                 break
-            weight = max(0.5 * weight, _OVER_MULTIPLIERS * float(np.max(np.abs(lam_g), initial=0.0)))
-            line = np.clip(y + moves, *self.box)
+            weight = max(0.5 * weight, _LIMITS.over_multipliers * float(np.max(np.abs(lam_g), initial=0.0)))
+            line = np.clip(y + moves, *self._box)
             merit = self._merits(line, weight)
-            lowest, least_gain = int(np.nanargmin(merit)), _LEAST_GAIN * abs(merit[0])
+            lowest, least_gain = int(np.nanargmin(merit)), _DESCENT.least_gain * abs(merit[0])
             if merit[lowest] < merit[0] - least_gain:
                 y = line[lowest]
-            elif merit[_WHOLE] <= merit[0] + least_gain or reach < _SHORTEST_REACH:
+            elif merit[_DESCENT.whole] <= merit[0] + least_gain or reach < _DESCENT.shortest_reach:
                 break
             else:
-                reach *= _SHORTER
+                reach *= _DESCENT.shorter
         return self._landscape(np.array([start if self._best is None else self._best[2]]), finer=FINER)
 
     def _neighbours(self, designs: Vector) -> tuple[Vector, Vector]:
@@ -194,8 +200,8 @@ class _Descent:
         f, g = self._neighbours(designs)
         with np.errstate(all="ignore"):
             violation = self._landscape.violations(g).sum(axis=1)
-            feasible = violation <= FEASIBLE
-            merit = f + np.where(feasible, _WEIGHT_IF_FEASIBLE, PENALTY) * violation
+            feasible = violation <= VIOLATION.allowed
+            merit = f + np.where(feasible, _LIMITS.weight_if_feasible, VIOLATION.weight) * violation
         merit[~np.isfinite(merit)] = np.inf
         k = np.lexsort((merit, ~feasible))[0]
         if np.isfinite(merit[k]):
@@ -223,27 +229,27 @@ class _Descent:
         hessians[0] /= size
         at = np.array(g), gradient / size, np.reshape(jacobian, (len(rows), len(y)))
         limits = self._program.low[rows], self._program.high[rows]
-        longest = reach * _LONGEST_DESCENT
-        box = np.maximum(self.box[0], y - longest), np.minimum(self.box[1], y + longest)
+        longest = reach * _DESCENT.longest
+        box = np.maximum(self._box[0], y - longest), np.minimum(self._box[1], y + longest)
         step, lam_g, lam_y = np.zeros(len(y)), lam_g / size, np.zeros(len(y))
         for _ in range(rounds):
             curvature = curvature_of(hessians, lam_g)
             found = optimum_step(curvature, y, at, limits, box=box) or relaxed_step(
-                curvature, y, at, limits, box, np.array(self._program.owner, dtype=int)[rows], PENALTY
+                curvature, y, at, limits, box, np.array(self._program.owner, dtype=int)[rows], VIOLATION.weight
             )
             if found is None:
                 break
             step, lam_g, lam_y = found
-        moves = _FRACTIONS[:, None] * step
-        held = (np.abs(lam_y) > PULLS) & (np.abs(step) < longest)
-        free = free_directions(np.vstack([at[2][np.abs(lam_g) > PULLS], np.eye(len(y))[held]]))
+        moves = _DESCENT.fractions[:, None] * step
+        held = (np.abs(lam_y) > ZERO.multiplier) & (np.abs(step) < longest)
+        free = free_directions(np.vstack([at[2][np.abs(lam_g) > ZERO.multiplier], np.eye(len(y))[held]]))
         curvatures, directions = reduced_curvatures(lagrangian(hessians, lam_g), free)
-        if np.any(curvatures < _CONCAVE):
+        if np.any(curvatures < _DESCENT.concave):
             aside = directions[:, 0] / np.max(np.abs(directions[:, 0]))
             slope = gradient @ aside
-            farther = _LENGTHS[:, None] * -np.copysign(longest, slope) * aside
+            farther = _DESCENT.lengths[:, None] * -np.copysign(longest, slope) * aside
             moves = np.vstack([moves, farther])
-            if abs(slope) < _LEVEL * abs(curvatures[0]) * longest:
+            if abs(slope) < _DESCENT.level * abs(curvatures[0]) * longest:
                 moves = np.vstack([moves, -farther])
         return moves, lam_g * size
 
@@ -253,23 +259,25 @@ class _Descent:
         chosen: list[int] = []
         for begin, end in zip(first, [*first, len(g)][1:], strict=True):
             # The rows of a long requirement are a curve over time: each dip of its margin can become active.
-            few = end - begin <= _MOST_ROWS
-            which = range(end - begin) if few else lowest_dips(margin[begin:end], _MOST_ROWS)
+            few = end - begin <= _LIMITS.most_rows
+            which = range(end - begin) if few else lowest_dips(margin[begin:end], _LIMITS.most_rows)
             chosen += [begin + int(k) for k in which]
         return np.array(chosen, dtype=int)
 
 
-# Most steps: a start that needs more is not nearly optimal.
-_MOST_QUADRATIC_PROGRAMS: Final = 5
-# If difference quotients deviate from the exact slopes by this fraction of the largest, there is a kink in between, as
-# in the RMS of an amplitude at 0.
-_KINK: Final = 0.05
-# Scaled margin kept to each limit, so that rounding does not violate it.
-_MARGIN: Final = 1e-11
-# A limit is active below this scaled margin.
-_ACTIVE_MARGIN: Final = 1e-8
-# Slopes of length 1 are dependent if their matrix has a singular value below this.
-_DEPENDENT: Final = 1e-7
+class _QuickPolish(NamedTuple):
+    """What a design must be like to be polished by a few quadratic programs instead of IPOPT."""
+
+    most_steps: int = 5  # A start that needs more is not nearly optimal.
+    # If difference quotients deviate from the exact slopes by this fraction of the largest, there is a kink in between,
+    # as in the RMS of an amplitude at 0.
+    kink: float = 0.05
+    margin: float = 1e-11  # kept to each limit, scaled, so that rounding does not violate it
+    active: float = 1e-8  # A limit is active below this scaled margin.
+    dependent: float = 1e-7  # Slopes of length 1 are dependent if their matrix has a singular value below this.
+
+
+_QUICK = _QuickPolish()
 
 
 def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -> Point | None:
@@ -286,48 +294,46 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
     """
     if (derivatives := Landscape(program, p).quotients(start)) is None:
         return None
-    margin = np.where(program.low < program.high, _MARGIN, 0.0)
+    margin = np.where(program.low < program.high, _QUICK.margin, 0.0)
     corrector = Corrector(program, margin)
     f, *at = corrector.slopes(start, p)
     exact = np.vstack(at[1:])
     largest = float(np.max(np.abs(exact)))
     # A slope may be infinite, as that of a square root at a bound; a difference without a value is NaN.
-    if not largest < np.inf or not np.max(np.abs(exact - derivatives[1])) <= _KINK * max(1.0, largest):
+    if not largest < np.inf or not np.max(np.abs(exact - derivatives[1])) <= _QUICK.kink * max(1.0, largest):
         return None
     status, limits = "Search_Direction_Becomes_Too_Small", (program.low + margin, program.high - margin)
     point = Point(False, status, start, float(f[0]), np.zeros(len(margin)), np.zeros(len(start)), 0)
-    for _ in range(_ROUNDS):
+    for _ in range(_FIRST_ROUNDS):
         curvature = curvature_of(derivatives[2], point.lam_g)
         found = optimum_step(curvature, start, (at[0], at[1], at[2]), limits)
         if found is None:
             return None
         point = replace(point, lam_g=found[1])
     try:
-        point = corrector.iterate(point, curvature, p, _MOST_QUADRATIC_PROGRAMS)
+        point = corrector.iterate(point, curvature, p, _QUICK.most_steps)
     except ValueError:  # a slope on the way has no value
         return None
     _, g, _, jacobian = corrector.slopes(point.y, p)
     margins = np.concatenate([program.margins(g), np.minimum(point.y, 1.0 - point.y)])
-    active = np.vstack([jacobian, np.eye(len(start))])[margins < _ACTIVE_MARGIN]
+    active = np.vstack([jacobian, np.eye(len(start))])[margins < _QUICK.active]
     met = np.all((margin == 0.0) | (program.margins(g) >= 0.0))
     # Multipliers of dependent limits are ambiguous.
-    return point if point.solved and met and independent(active, _DEPENDENT) else None
+    return point if point.solved and met and independent(active, _QUICK.dependent) else None
 
 
-# An optimum this close to a start, as a fraction of the range, belongs to the start's basin.
-_SAME_BASIN = 0.05
-# The same for the optimum of a ripple.
-_SAME_RIPPLE = 0.005
-# A polished design may lie above its start by this fraction of the objective, which is IPOPT's tolerance, and higher by
-# this weight times the start's violation.
-_NOT_WORSE = 1e-8
-_VIOLATION_WEIGHT = 100.0
+class _Polished(NamedTuple):
+    """How far a polished design may lie from its start, and how far above it."""
+
+    same_basin: float = 0.05  # An optimum this close to a start, as a fraction of the range, belongs to its basin.
+    same_ripple: float = 0.005
+    higher: float = 1e-8  # fraction of the objective: IPOPT's tolerance
+
+
+_POLISHED = _Polished()
 # IPOPT stops with these near an optimum if the objective is rough, as on a needle.
 _STALLED = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 
-
-ACTIVE = 1e-7
-"""A limit counts as active below this scaled margin."""
 
 AS_FOUND = "taken as found"
 """Status of a design that IPOPT did not confirm as an optimum."""
@@ -340,13 +346,13 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
     """
     highest = highest_accepted(program, p, start)
     near = polished_by_quadratic_programs(program, p, start)
-    near_enough = near is not None and np.max(np.abs(near.y - start)) < _SAME_BASIN and near.f <= highest
+    near_enough = near is not None and np.max(np.abs(near.y - start)) < _POLISHED.same_basin and near.f <= highest
     if near is not None and near_enough and not program.refuses(near.y, p):
         return near
     as_found = point_as_found(program, p, start)
-    for box, exact in ((1.0, False), (_SAME_BASIN, True), (_SAME_RIPPLE, True)):
+    for box, exact in ((1.0, False), (_POLISHED.same_basin, True), (_POLISHED.same_ripple, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
-        if point.status in _STALLED and _violation(program, p, point.y)[1] <= FEASIBLE_ANSWER:
+        if point.status in _STALLED and _violation(program, p, point.y)[1] <= VIOLATION.allowed_in_answer:
             point = _stalled(program, p, point)
         if point.solved and point.f <= highest:
             return point
@@ -364,7 +370,7 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
 def solved_again(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum solved again after its program was rebuilt with other steps; the same basin, updated digits."""
     highest = highest_accepted(program, p, point.y)
-    for box, exact in ((_SAME_BASIN, False), (_SAME_RIPPLE, False), (_SAME_RIPPLE, True)):
+    for box, exact in ((_POLISHED.same_basin, False), (_POLISHED.same_ripple, False), (_POLISHED.same_ripple, True)):
         again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if again.solved and again.f <= highest:
             return again
@@ -375,7 +381,7 @@ def point_as_found(program: Program, p: Vector, y: Vector) -> Point:
     """Return a scaled design as an unconfirmed point without multipliers; it is solved if it is feasible."""
     f, violation = _violation(program, p, y)
     count = len(program.owner)
-    return Point(bool(violation <= FEASIBLE_ANSWER), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
+    return Point(bool(violation <= VIOLATION.allowed_in_answer), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
 
 
 def _stalled(program: Program, p: Vector, point: Point) -> Point:
@@ -384,8 +390,8 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
     Its multipliers have not converged: those of limits that the design does not touch are noise.
     """
     g = np.asarray(program.nlp.values(point.y, p)[1]).ravel()
-    touches = program.margins(g) <= ACTIVE
-    at_bound = np.minimum(point.y, 1.0 - point.y) <= ACTIVE
+    touches = program.margins(g) <= ZERO.margin
+    at_bound = np.minimum(point.y, 1.0 - point.y) <= ZERO.margin
     lam_g, lam_y = np.where(touches, point.lam_g, 0.0), np.where(at_bound, point.lam_y, 0.0)
     return replace(point, solved=True, status=AS_FOUND, lam_g=lam_g, lam_y=lam_y)
 
@@ -393,7 +399,7 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
 def highest_accepted(program: Program, p: Vector, start: Vector) -> float:
     """Return the largest scaled objective at which an optimum counts as no worse than its start."""
     f, violation = _violation(program, p, start)
-    return f + _NOT_WORSE * abs(f) + _VIOLATION_WEIGHT * violation if violation <= FEASIBLE else np.inf
+    return f + _POLISHED.higher * abs(f) + VIOLATION.weight * violation if violation <= VIOLATION.allowed else np.inf
 
 
 def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
@@ -403,18 +409,20 @@ def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
     return float(f[0]), program.violation(g) if valid else np.inf
 
 
-# Most steps of one correction.
-_MOST_CORRECTIONS: Final = 15
-# Longest step of a scaled variable. A design farther away is not a neighbour on the same branch.
-_LONGEST_STEP: Final = 0.3
-# A step counts as progress if it is shorter than this part of the shortest one before it.
-_SHRINKING: Final = 0.7
-# Steps in a row without progress after which a correction is given up.
-_PATIENCE: Final = 4
-# Threshold of Powell's damping: the least curvature along a step, relative to that of the present estimate.
-_DAMPED: Final = 0.2
-# Over shorter steps the change of a gradient is mostly rounding, so the curvature is not updated.
-_LEAST_UPDATE_STEP: Final = 1e-9
+class _Correction(NamedTuple):
+    """Bounds of a correction's steps, and of the updates of its curvature."""
+
+    most_steps: int = 15
+    longest: float = 0.3  # step of a scaled variable; a design farther away is not a neighbour on the same branch
+    shrinking: float = 0.7  # A step counts as progress if it is shorter than this part of the shortest one before it.
+    patience: int = 4  # steps in a row without progress after which a correction is given up
+    # Threshold of Powell's damping: the least curvature along a step, relative to that of the present estimate.
+    damped: float = 0.2
+    # Over shorter steps the change of a gradient is mostly rounding, so the curvature is not updated.
+    shortest_update: float = 1e-9
+
+
+_CORRECTION = _Correction()
 
 
 class Slopes(NamedTuple):
@@ -427,10 +435,10 @@ class Slopes(NamedTuple):
         jacobian: of the requirements, shape (m, n).
     """
 
-    f: Array
-    g: Array
-    gradient: Array
-    jacobian: Array
+    f: Vector
+    g: Vector
+    gradient: Vector
+    jacobian: Vector
 
 
 class Corrector:
@@ -442,42 +450,36 @@ class Corrector:
 
     largest_residual = 1e-10
 
-    def __init__(self, program: Program, margin: Array | float = 0.0) -> None:
+    def __init__(self, program: Program, margin: Vector | float = 0.0) -> None:
         """Use a program that is built, with a scaled margin that is kept to each row's limits."""
         self._program, self._built = program, program.built
         self._limits = program.low + margin, program.high - margin
-        self._curvature: Array | None = None
-        self._slopes: dict[bytes, Slopes] = {}
-        self._values: dict[bytes, tuple[Array, Array]] = {}
+        self._curvature: Vector | None = None
+        self._slopes: dict[Hashable, Slopes] = {}
+        self._values: dict[Hashable, tuple[Vector, Vector]] = {}
 
-    def values(self, y: Array, p: Array) -> tuple[Array, Array]:
+    def values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return scaled objective and requirements, cached by design and parameters."""
-        key = y.tobytes() + p.tobytes()
-        if key not in self._values:
-            self._values[key] = self._evaluate(y, p)
-        return self._values[key]
+        return cached(self._values, (y.tobytes(), p.tobytes()), lambda: self._evaluate(y, p), np.inf)
 
-    def _evaluate(self, y: Array, p: Array) -> tuple[Array, Array]:
+    def _evaluate(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
         f, g = self._built.nlp.values(y, p)
         return np.array(f.nonzeros()), np.array(g.nonzeros())
 
-    def slopes(self, y: Array, p: Array) -> Slopes:
+    def slopes(self, y: Vector, p: Vector) -> Slopes:
         """Return scaled values and first derivatives, cached by design and parameters."""
-        key = y.tobytes() + p.tobytes()
-        if key not in self._slopes:
-            self._slopes[key] = self._differentiate(y, p)
-        return self._slopes[key]
+        return cached(self._slopes, (y.tobytes(), p.tobytes()), lambda: self._differentiate(y, p), np.inf)
 
-    def _differentiate(self, y: Array, p: Array) -> Slopes:
+    def _differentiate(self, y: Vector, p: Vector) -> Slopes:
         f, g, gradient, jacobian = (np.asarray(result) for result in self._built.nlp.slopes(y, p))
         return Slopes(f.ravel(), g.ravel(), gradient.ravel(), jacobian)
 
-    def residual(self, point: Point, p: Array) -> float:
+    def residual(self, point: Point, p: Vector) -> float:
         """Return the scaled residual of the first-order conditions at a point."""
         _, g, gradient, jacobian = self.slopes(point.y, p)
         return residual(point, (g, gradient, jacobian), self._limits)
 
-    def correct(self, neighbour: Point, start: Array, p: Array) -> Point:
+    def correct(self, neighbour: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start, by quadratic programs from a neighbour's multipliers.
 
         The estimate of the Lagrangian's curvature is updated from the change of its gradient (Powell 1978) and kept
@@ -504,7 +506,7 @@ class Corrector:
                 return point
         return begin
 
-    def iterate(self, point: Point, curvature: Array, p: Array, most: int = _MOST_CORRECTIONS) -> Point:
+    def iterate(self, point: Point, curvature: Vector, p: Vector, most: int = _CORRECTION.most_steps) -> Point:
         """Return the optimum to which steps lead from a point; it is not ``solved`` if they cease to shrink.
 
         Args:
@@ -517,7 +519,7 @@ class Corrector:
         for number in range(most):
             f, g, gradient, jacobian = self.slopes(point.y, p)
             y = point.y
-            solution = optimum_step(curvature, y, (g, gradient, jacobian), self._limits, _LONGEST_STEP)
+            solution = optimum_step(curvature, y, (g, gradient, jacobian), self._limits, _CORRECTION.longest)
             if solution is None:
                 return point
             step, lam_g, lam_y = solution
@@ -526,22 +528,22 @@ class Corrector:
                 self._curvature = curvature
                 return replace(point, solved=True, status="Solve_Succeeded", iterations=number)
             size = float(np.max(np.abs(step)))
-            stalled = 0 if size < _SHRINKING * shortest else stalled + 1
+            stalled = 0 if size < _CORRECTION.shrinking * shortest else stalled + 1
             shortest = min(size, shortest)
-            if stalled >= _PATIENCE:
+            if stalled >= _CORRECTION.patience:
                 return point
             point = replace(point, y=np.clip(y + step, 0.0, 1.0), lam_y=lam_y)
-            if size > _LEAST_UPDATE_STEP:
+            if size > _CORRECTION.shortest_update:
                 _, _, next_gradient, next_jacobian = self.slopes(point.y, p)
                 change = next_gradient - gradient + (next_jacobian - jacobian).T @ lam_g
                 curvature = _updated(curvature, step, change)
         return point
 
-    def _initial_curvature(self, y: Array, p: Array, lam_g: Array) -> Array:
+    def _initial_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
         """Return the Hessian of the Lagrangian, by a rough integration, made positive definite."""
         return made_convex(symmetric(np.asarray(self._built.rough.hess_lag(y, p, 1.0, lam_g))))
 
-    def solve_from_afar(self, neighbour: Point, start: Array, p: Array) -> Point:
+    def solve_from_afar(self, neighbour: Point, start: Vector, p: Vector) -> Point:
         """Return the optimum near a start from which `correct` fails, by IPOPT.
 
         Args:
@@ -558,7 +560,7 @@ class Corrector:
         return point
 
 
-def _updated(curvature: Array, step: Array, change: Array) -> Array:
+def _updated(curvature: Vector, step: Vector, change: Vector) -> Vector:
     """Return the BFGS update of a curvature, with Powell's damping, which keeps it positive definite.
 
     Args:
@@ -571,8 +573,8 @@ def _updated(curvature: Array, step: Array, change: Array) -> Array:
     if expected <= np.finfo(float).tiny:
         return curvature
     measured = float(step @ change)
-    if measured < _DAMPED * expected:
-        share = (1.0 - _DAMPED) * expected / (expected - measured)
+    if measured < _CORRECTION.damped * expected:
+        share = (1.0 - _CORRECTION.damped) * expected / (expected - measured)
         change = share * change + (1.0 - share) * along
         measured = float(step @ change)
     return np.asarray(curvature - np.outer(along, along) / expected + np.outer(change, change) / measured)

@@ -2,17 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign
 from plough_opt.core.units import in_words
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
+from plough_opt.design.model.optimality import without_rounding
 from plough_opt.design.model.program import Program, with_sure_steps
 from plough_opt.design.search.effort import effort_of
 from plough_opt.design.search.explore import Explored, Explorer
 from plough_opt.design.search.landscape import (
-    BARRIER,
+    BASINS,
     FINER,
     SEED,
     Evaluations,
@@ -20,24 +22,33 @@ from plough_opt.design.search.landscape import (
     apart,
     concatenated,
     evaluated_sample,
+    largest_rise,
 )
 from plough_opt.design.search.local import descend, least_violation, nearest_feasible, point_as_found, polished
 
-# Boxes that keep a descent in its basin. Widths are fractions of the range.
-_BOX = 0.05  # half width of the first box
-_BOX_FACTOR = 3.0  # The box shrinks by this factor if it contains a barrier.
-_SMALLEST_BOX = 2e-4
-_MOST_BOXES = 80
 
-# The search for a feasible design nearer to an infeasible guess than the one found so far.
-_NEARER_ROUNDS = 5
-_NEARER_SAMPLE = 128  # designs sampled in each round
-_LESS_VIOLATION = 0.2  # An infeasible sample is a start if its violation is below this fraction of the guess's.
-_NEARER = 0.999  # A result counts only if it reduces the distance at least by this factor.
+class _Boxes(NamedTuple):
+    """Boxes that keep a descent in its basin, and the look for barriers in them. Lengths are fractions of the range."""
 
-# Positions on the straight line to an optimum at which a barrier is looked for.
-_FEWEST_POSITIONS = 40
-_POSITIONS_ACROSS = 256  # on a line across the whole range
+    half_width: float = 0.05  # of the first box
+    factor: float = 3.0  # The box shrinks by this factor if it contains a barrier.
+    smallest: float = 2e-4
+    most: int = 80
+    fewest_positions: int = 40  # on the straight line to an end, at which a barrier is looked for
+    positions_across: int = 256  # on a line across the whole range
+
+
+class _Nearer(NamedTuple):
+    """The search for a feasible design nearer to an infeasible guess than the one found so far."""
+
+    rounds: int = 5
+    sample: int = 128  # designs sampled in each round
+    violation: float = 0.2  # An infeasible sample is a start if its violation is below this fraction of the guess's.
+    distance: float = 0.999  # A result counts only if it reduces the distance at least by this factor.
+
+
+_BOXES = _Boxes()
+_NEARER = _Nearer()
 
 
 def near_optimum(landscape: Landscape, start: Vector) -> tuple[Program, Point]:
@@ -73,19 +84,19 @@ def near_optimum(landscape: Landscape, start: Vector) -> tuple[Program, Point]:
 
 def _descended_in_boxes(landscape: Landscape, y: Vector) -> Vector:
     """Return the end of successive descents that are confined to small boxes and cross no barrier."""
-    box = _BOX
-    for _ in range(_MOST_BOXES):
+    box = _BOXES.half_width
+    for _ in range(_BOXES.most):
         end = descend(landscape, y, (np.maximum(y - box, 0.0), np.minimum(y + box, 1.0))).points[0]
         moved = np.max(np.abs(end - y))
         if _is_downhill(landscape, y, end):
             y = end
             if moved < 0.9 * box:
                 break
-            box = min(_BOX, _BOX_FACTOR * box)
-        elif min(box, moved) < _SMALLEST_BOX:
+            box = min(_BOXES.half_width, _BOXES.factor * box)
+        elif min(box, moved) < _BOXES.smallest:
             break
         else:
-            box = min(box, moved) / _BOX_FACTOR
+            box = min(box, moved) / _BOXES.factor
     return y
 
 
@@ -93,13 +104,13 @@ def _nearest_feasible(landscape: Landscape, start: Evaluations) -> Evaluations:
     """Return the feasible design nearest to a start, as local searches and samples nearer to the start find it."""
     (guess,), rng = start.points, np.random.default_rng(SEED)
     found = nearest_feasible(landscape, guess)
-    for _ in range(_NEARER_ROUNDS if found.feasible[0] else 0):
+    for _ in range(_NEARER.rounds if found.feasible[0] else 0):
         distance = np.linalg.norm(found.points[0] - guess)
-        directions = rng.standard_normal((_NEARER_SAMPLE, len(guess)))
-        lengths = distance * rng.random(_NEARER_SAMPLE) ** (1.0 / len(guess)) / np.linalg.norm(directions, axis=1)
+        directions = rng.standard_normal((_NEARER.sample, len(guess)))
+        lengths = distance * rng.random(_NEARER.sample) ** (1.0 / len(guess)) / np.linalg.norm(directions, axis=1)
         sampled = landscape(np.clip(guess + lengths[:, None] * directions, 0.0, 1.0))
         away = np.linalg.norm(sampled.points - found.points, axis=1) > 0.5 * distance
-        less = sampled.violation < _LESS_VIOLATION * start.violation
+        less = sampled.violation < _NEARER.violation * start.violation
         promising = sampled.select(sampled.feasible | (away & less))
         if not len(promising.f):
             break
@@ -108,7 +119,7 @@ def _nearest_feasible(landscape: Landscape, start: Evaluations) -> Evaluations:
             (np.linalg.norm(promising.points - guess, axis=1), np.where(promising.feasible, 0.0, promising.violation))
         )
         again = nearest_feasible(landscape, guess, promising.points[order[0]])
-        if not (again.feasible[0] and np.linalg.norm(again.points[0] - guess) < _NEARER * distance):
+        if not (again.feasible[0] and np.linalg.norm(again.points[0] - guess) < _NEARER.distance * distance):
             break
         found = again
     return found
@@ -130,30 +141,28 @@ def _far_feasible(landscape: Landscape, start: Vector) -> Evaluations:
 
 def _is_downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
     """Return whether the straight line from a start to an end crosses no barrier and does not end above the start."""
-    count = max(_FEWEST_POSITIONS, int(_POSITIONS_ACROSS * np.max(np.abs(end - start))))
+    count = max(_BOXES.fewest_positions, int(_BOXES.positions_across * np.max(np.abs(end - start))))
     fractions = np.linspace(0.0, 1.0, count)[:, None]
     merit = landscape(start + fractions * (end - start)).merit
-    with np.errstate(invalid="ignore"):
-        rise = np.max(merit - np.minimum.accumulate(merit))
-    return bool(rise <= BARRIER * abs(merit[0]))
+    return bool(largest_rise(merit) <= BASINS.barrier * abs(merit[0]))
 
 
-# A smaller violation, in units of the limit, is rounding.
-_VIOLATED = 1e-7
-# A limit with a smaller scaled multiplier does not hold the design back.
-_HOLDS = 1e-6
-# The least violation is searched from this many designs of the sample.
-_STARTS = 8
-# Smallest distance between these, as a fraction of the range.
-_DISTANCE = 0.1
-# Most designs that go on to IPOPT.
-_POLISHED = 3
-# Their violation may exceed the least by this fraction.
-_NEAR_LEAST = 1e-3
-# Attempts to polish a design: the half width of the box it must stay in, and whether to use exact second derivatives.
-_ATTEMPTS = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
-# The violation of a polished design may be larger by this fraction.
-_VIOLATION_NOT_WORSE = 1e-6
+class _LeastViolation(NamedTuple):
+    """Bounds of the search for the least violation, and what of it counts."""
+
+    violated: float = 1e-7  # A smaller violation, in units of the limit, is rounding.
+    holds: float = 1e-6  # A limit with a smaller scaled multiplier does not hold the design back.
+    starts: int = 8  # designs of the sample from which the least violation is searched
+    distance: float = 0.1  # smallest one between these, as a fraction of the range
+    most_polished: int = 3  # designs that go on to IPOPT
+    excess: float = 1e-3  # fraction of the least violation by which theirs may exceed it
+    # Attempts to polish a design: the half width of the box it must stay in, and whether to use exact second
+    # derivatives.
+    attempts: tuple[tuple[float, bool], ...] = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
+    higher: float = 1e-6  # The violation of a polished design may be larger by this fraction.
+
+
+_LEAST = _LeastViolation()
 
 
 def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Vector:
@@ -169,21 +178,21 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     """
     sample = explored.sample
     order = np.argsort(sample.violation, kind="stable")[: np.count_nonzero(np.isfinite(sample.violation))]
-    starts = [start, *sample.points[apart(sample.points, order, _DISTANCE, _STARTS)]]
+    starts = [start, *sample.points[apart(sample.points, order, _LEAST.distance, _LEAST.starts)]]
     known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
         ends = explored.least_violating
-        if ends is None:
+        if not len(ends.f):
             ends = concatenated([least_violation(landscape, one) for one in starts])
         ends = ends.select(np.argsort(ends.violation, kind="stable"))
-        ends = ends.select(ends.violation <= (1.0 + _NEAR_LEAST) * ends.violation[0])
+        ends = ends.select(ends.violation <= (1.0 + _LEAST.excess) * ends.violation[0])
         starts, known = list(ends.points), ends.violation.tolist()
-    starts = starts[:_POLISHED]
+    starts = starts[: _LEAST.most_polished]
     program = landscape.program.with_steps(landscape.p, starts=starts)
     points = [_polished(landscape, program, one, violation) for one, violation in zip(starts, known, strict=False)]
     solved = [own for own in points if own[0].solved] or points
     best, short = min(solved, key=lambda own: own[0].f)
-    if best.f < _VIOLATED:
+    if best.f < _LEAST.violated:
         return best.y
     raise _infeasible(program, best, short, landscape.designs_tried)
 
@@ -202,9 +211,9 @@ def _polished(landscape: Landscape, program: Program, y: Vector, violation: floa
     p = landscape.p
     if not np.isfinite(violation):
         return program.solve_relaxed(y, p)
-    for box, exact in _ATTEMPTS:
+    for box, exact in _LEAST.attempts:
         point, short = program.solve_relaxed(y, p, box=box, exact=exact)
-        if point.solved and point.f <= (1.0 + _VIOLATION_NOT_WORSE) * violation + _VIOLATED:
+        if point.solved and point.f <= (1.0 + _LEAST.higher) * violation + _LEAST.violated:
             return point, short
     short = landscape.violations(landscape.rows(y[None], finer=FINER)[1])[0]
     return replace(point, solved=True, y=y, f=float(short.sum())), short
@@ -223,7 +232,7 @@ def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequ
         InfeasibleDesign: no feasible design was found.
     """
     loose, short = program.solve_relaxed(start, p, fixed=fixed)
-    if loose.f >= _VIOLATED:
+    if loose.f >= _LEAST.violated:
         raise _infeasible(program, loose, short)
     if len(fixed) < len(start):
         point = program.solve(loose.y, p, SolveOptions(near=len(fixed) > 0), fixed=fixed)
@@ -254,7 +263,7 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
     conflicts = {
         r.name: float(s * scale)
         for r, s, scale in zip(declared.requirements, short, program.scales, strict=True)
-        if s > _VIOLATED
+        if s > _LEAST.violated
     }
     added = {r.name for r in declared.requirements if r.auxiliary}
     # A requirement that the program added is named only if no other fails.
@@ -264,10 +273,11 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
         for r, largest in zip(declared.requirements, multipliers, strict=True)
-        if largest > _HOLDS and not r.auxiliary and r.name not in conflicts
+        if largest > _LEAST.holds and not r.auxiliary and r.name not in conflicts
     ]
-    for variable, multiplier in zip(declared.variables, point.lam_y, strict=True):
-        if abs(multiplier) > _HOLDS and not variable.auxiliary:
+    # A box around the point may have held it, too.
+    for variable, multiplier in zip(declared.variables, without_rounding(point.y, point.lam_y), strict=True):
+        if abs(multiplier) > _LEAST.holds and not variable.auxiliary:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)

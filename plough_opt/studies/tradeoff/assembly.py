@@ -17,7 +17,7 @@ from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress
 from plough_opt.design.confirmation import curvatures_at
 from plough_opt.design.model.ipopt import Point
-from plough_opt.design.model.optimality import PULLS, decides
+from plough_opt.design.model.optimality import ZERO, decides
 from plough_opt.design.search.effort import Search
 from plough_opt.design.search.explore import silent
 from plough_opt.motion.solvers.checks import remarks
@@ -161,7 +161,9 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
     """
     program, point, corrector = front.program, candidate.point, front.correctors[candidate.exact]
     scaled, values = front.tight(point.y)
-    margins = {r.name: r.margin(x.ravel()) for r, x in zip(front.declared.requirements, values, strict=False)}
+    margins = {
+        r.name: float(np.min(r.margins(x.ravel()))) for r, x in zip(front.declared.requirements, values, strict=False)
+    }
     owner, variables = np.array(program.owner), program.declared.variables
     relative = [margin / scale for margin, scale in zip(margins.values(), program.scales, strict=False)]
     pulls = [float(np.max(np.abs(point.lam_g[owner == k]))) for k in range(len(margins))]
@@ -197,7 +199,7 @@ def _weights(front: FrontProgram, candidate: FrontCandidate) -> tuple[float, ...
     point, p = candidate.inner_neighbour or (candidate.point, candidate.p)
     weights = front.weights_at(point, p) * front.span
     # If the position constraints are inactive, the weights are merely those with which the subproblem was posed.
-    if not front.position_decides(point) or np.any(weights < -PULLS) or not weights[-1] > PULLS:
+    if not front.position_decides(point) or np.any(weights < -ZERO.multiplier) or not weights[-1] > ZERO.multiplier:
         return None
     return tuple((weights / np.sum(weights) / (front.span * front.units)).tolist())
 

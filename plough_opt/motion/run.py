@@ -490,15 +490,14 @@ def assemble(
     time = column(fractions, is_casadi(states)) * duration
     state = [states[:, k] for k in range(states.shape[1])]
     force, soil, deflection, speed, travel, opening, mode = outputs(structure, p, time, state)
-    averages = averages_of(scene, structure, p, structure.start_force(p), means, variances)
+    averages = averages_of(scene, p, means, variances)
     return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
 
 
-def averages_of(
-    scene: Scene, structure: Structure, p: Parameters, first: Expression, means: Column, variances: Column
-) -> Averages:
-    """Return the averages of a run from its first force [N] and those of its changes since then: see `assemble`."""
-    stiffness = p["stiffness"]
+def averages_of(scene: Scene, p: Parameters, means: Column, variances: Column) -> Averages:
+    """Return the averages of a run from those of its changes since the start: see `assemble`."""
+    structure, stiffness = Structure.of(scene), p["stiffness"]
+    first = structure.start_force(p)
     scale: Expression = 0.0
     if is_casadi(variances):  # only an expression is smoothed, on this scale
         with unlabelled():

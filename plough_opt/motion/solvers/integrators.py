@@ -375,11 +375,6 @@ class Case:
         """Parameters of the equation, with the duration last."""
         return self.equation.column(self.p, self.duration)
 
-    @cached_property
-    def first_force(self) -> Expression:
-        """Force of the spring at the start [N]."""
-        return self.structure.start_force(self.p)
-
     def timeline(self, outputs: int, accuracy: Accuracy, steps: int = OUTPUTS) -> Timeline:
         """Return the times of a run by a method, with its own number of steps if it has one."""
         return timeline_of(self.scene, self.duration, outputs, accuracy.steps or steps, accuracy.method)
@@ -448,17 +443,14 @@ def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrate
     """
     if case.code is None or not (accuracy.order_8 and check.order_8):
         return None
-    scene, structure, p, equation = case.scene, case.structure, case.p, case.equation
+    scene, p, equation = case.scene, case.p, case.equation
     refuse_runaway(scene, case.duration)
     timelines = case.timeline(case.outputs, accuracy), case.timeline(case.outputs, check)
     found = case.code.both(timelines, case.column, [p[name] for name in equation.outputs[0]])
     if found is None:
         return None
     (force, soil, deflection, speed, travel), sizes, averages = found
-    ours, theirs = (
-        averages_of(scene, structure, p, case.first_force, row[: equation.count], row[equation.count :])
-        for row in averages.tolist()
-    )
+    ours, theirs = (averages_of(scene, p, row[: equation.count], row[equation.count :]) for row in averages.tolist())
     time, none = timelines[0].output_fractions * case.duration, np.zeros(len(force))
     run = Run(scene, case.duration, time, travel, speed, deflection, force, soil, none, none, ours, accuracy)
     largest, differences = sizes.tolist()

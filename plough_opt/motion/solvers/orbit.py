@@ -464,8 +464,7 @@ class _Path:
         found = run_from(self.equation, timeline)(self.states[-1 - count], p)
         states, means, variances = (np.asarray(result) for result in found)
         scene = self.run.scene
-        first = self.equation.structure.start_force(self.numbers)
-        averages = averages_of(scene, self.equation.structure, self.numbers, first, means.ravel(), variances.ravel())
+        averages = averages_of(scene, self.numbers, means.ravel(), variances.ravel())
         return float(averages.force_rms), count, distance, bool(np.max(states[1]) > scene.tow_speed)
 
 

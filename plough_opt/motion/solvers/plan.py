@@ -181,7 +181,7 @@ def rates(p: Mapping[str, Any], terms: Iterable[Any] = TERMS) -> Rates:
 @kept
 def rates_of(scene: Scene) -> Rates:
     """Return the rates of a numeric scene's motion."""
-    return rates(numbers_of(scene), Structure.of(scene).terms)
+    return rates(numbers_of(scene))
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:

@@ -217,11 +217,8 @@ def _symbolic(
         )
     check_strength(scene.effects.waves)
     if not scene.effects.motion:
-        imposed = {name: value for name, value in p.items() if plan.is_imposed(name)}
-        panels = max(outputs, plan.OUTPUTS)
-        if not any(map(is_symbolic, (*imposed.values(), duration))):
-            rate = plan.forced_rate({name: float(as_number(value)) for name, value in imposed.items()})
-            panels = max(panels, plan.steps_for(rate * float(as_number(duration))))
+        phase = plan.forced_rate(p) * duration
+        panels = max(outputs, plan.OUTPUTS, 0 if is_symbolic(phase) else plan.steps_for(float(as_number(phase))))
         timeline = plan.timeline_of(scene, duration, outputs, panels)
         return quasi_static(scene, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
     if accuracy.method != "auto":
@@ -249,7 +246,7 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
     if effects.orbit != "transient":
         checks.refuse_drifting_own(case.scene)
     if accuracy.method == "auto":
-        checks.refuse_endless(case.scene, case.p, case.duration)
+        checks.refuse_endless(case.scene, case.duration)
     if effects.orbit not in ("transient", "periodic"):
         return _stand_in(case, wanted)
     if accuracy.method != "auto":
@@ -286,7 +283,7 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
 
 def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
     scene, duration = case.scene, case.duration
-    checks.refuse_endless(scene, case.p, duration)
+    checks.refuse_endless(scene, duration)
     timeline = plan.timeline_of(scene, duration, case.outputs, plan.steps_for(plan.rates_of(scene).forced * duration))
     with np.errstate(all="ignore"):  # values that are not finite raise an error below
         run = quasi_static(scene, duration, timeline, accuracy)

@@ -432,7 +432,7 @@ def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, per
     run = _assembled(case, timeline, (states.T, means.ravel(), variances.ravel()), accuracy)
     if isinstance(scene.effects.contact, StickSlip):
         refuse_missed_event(run)
-        refuse_weak_rest(scene, run)
+        refuse_weak_rest(run)
     return Integrated(run, sizes)
 
 

@@ -132,11 +132,6 @@ def forced_rate(p: Mapping[str, Any], terms: Iterable[Any] = TERMS) -> Any:
     return reduce(maximum, [rate for term in terms for rate in term.imposed(p)] or [0.0])
 
 
-def is_imposed(name: str) -> bool:
-    """Return whether `forced_rate` depends on a parameter."""
-    return name in ("tow_speed", "ramp_time") or name.startswith("wavelength")
-
-
 class Rates(NamedTuple):
     """Rates of a motion, numbers or arrays.
 

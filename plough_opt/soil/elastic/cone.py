@@ -317,10 +317,9 @@ def potentials(
         section_factor: S/R^2 [-].
     """
     total = ConePotentials(*[0.0] * 6)
-    for segment in cone.segments:
-        place = (offsets[segment.start], offsets[segment.start + 1], r)
-        arguments = (*place, segment.length, *sources(segment, section_factor), *soil.in_order)
-        total = total.plus(ConePotentials(*_piece(*arguments)))
+    for piece, x0, x1 in cone.pieces(offsets):
+        found = _piece(x0, x1, r, piece.length, *sources(piece, section_factor), *soil.in_order)
+        total = total.plus(ConePotentials(*found))
     return total
 
 
@@ -437,8 +436,5 @@ def _outward(point: _Point) -> Expression:
 
 def displaced(offsets: list[Expression], cone: Body, section_factor: Expression) -> Expression:
     """Return S(x) = section_factor R^2 [m^2] at distances from the nodes."""
-    total: Expression = 0.0
-    for segment in cone.segments:
-        place = offsets[segment.start], offsets[segment.start + 1]
-        total = total + _passed(*place, segment.length, sources(segment, section_factor))
-    return total
+    pieces = cone.pieces(offsets)
+    return sum(_passed(x0, x1, piece.length, sources(piece, section_factor)) for piece, x0, x1 in pieces)

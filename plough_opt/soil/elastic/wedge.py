@@ -119,10 +119,10 @@ class Potentials:
 
 def potentials(offsets: list[Expression], y: Expression, wedge: Body, soil: Medium) -> Potentials:
     """Return the potentials at given distances from the nodes and from the plane of symmetry, y >= 0."""
-    pieces = []
-    for segment in wedge.segments:
-        place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
-        pieces.append([segment.slope / math.pi * value for value in _piece(*place, *soil.in_order)])
+    pieces = [
+        [piece.slope / math.pi * value for value in _piece(x0, x1, y, piece.length, *soil.in_order)]
+        for piece, x0, x1 in wedge.pieces(offsets)
+    ]
     return Potentials(*map(sum, zip(*pieces, strict=True)))
 
 
@@ -236,12 +236,11 @@ def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soi
     """
     state = medium(soil, speed)
     offsets, y, side, wedge = _place(x, y, profile, state)
-    total: Expression = 0.0
-    for segment in wedge.segments:
-        place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
-        (shift,) = _shift(*place, *state.in_order)
-        total = total + segment.slope / math.pi * shift
-    return side * total
+    upper: Expression = sum(
+        piece.slope / math.pi * _shift(x0, x1, y, piece.length, *state.in_order)[0]
+        for piece, x0, x1 in wedge.pieces(offsets)
+    )
+    return side * upper
 
 
 @medium_law
@@ -279,10 +278,8 @@ def wedge_pressure(x: Expression, profile: Profile, soil: Soil, speed: Expressio
 
 def face_pressure(offsets: list[Expression], wedge: Body, soil: Medium) -> Expression:
     """Return the pressure on the face at distances from the nodes [Pa]."""
-    q: Expression = 0.0
-    for segment in wedge.segments:
-        (log,) = _face_log(offsets[segment.start], offsets[segment.start + 1], segment.length)
-        q = q + segment.slope / (2.0 * math.pi) * log
+    pieces = wedge.pieces(offsets)
+    q: Expression = sum(piece.slope / (2.0 * math.pi) * _face_log(x0, x1, piece.length)[0] for piece, x0, x1 in pieces)
     return -soil.shear_modulus * soil.rayleigh / soil.alpha * q
 
 

@@ -26,7 +26,7 @@ from plough_opt.core.expressions import (
     map_expressions,
     rms,
 )
-from plough_opt.motion.effects import Smooth, profile_of, ramp_time
+from plough_opt.motion.effects import profile_of, ramp_time
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
@@ -216,22 +216,9 @@ def _symbolic(
             "a symbolic run cannot be compiled by itself: the design or component that uses it is compiled"
         )
     check_strength(scene.effects.waves)
+    accuracy, timeline = plan.of_symbols(scene, p, duration, accuracy, outputs)
     if not scene.effects.motion:
-        phase = plan.forced_rate(p) * duration
-        panels = max(outputs, plan.OUTPUTS, 0 if is_symbolic(phase) else plan.steps_for(float(as_number(phase))))
-        timeline = plan.timeline_of(scene, duration, outputs, panels)
         return quasi_static(scene, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
-    if accuracy.method != "auto":
-        accuracy = plan.with_setting(accuracy, max(outputs, plan.OUTPUTS), outputs)
-    elif scene.effects.events:
-        # Events are located, but not the ends of the step of smooth contact, which need a tighter tolerance.
-        part = 1e-4 if isinstance(scene.effects.contact, Smooth) else 1e-2
-        wanted = min(accuracy.error or DEFAULT_ERROR, part * accuracy.wanted_derivatives)
-        accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, plan.TIGHTEST))
-    steps = plan.MOST_ADAPTIVE
-    if not accuracy.adaptive:
-        steps = accuracy.steps or max(plan.unknown_steps(scene, accuracy, outputs), plan.fewest_steps(p))
-    timeline = plan.timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
     solver = integration(Structure.of(scene), accuracy, timeline)
     states, means, variances = embed(solver, solver.equation.column(p, duration), scene)
     return assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy, p)
@@ -250,9 +237,8 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
     if effects.orbit not in ("transient", "periodic"):
         return _stand_in(case, wanted)
     if accuracy.method != "auto":
-        usual = max(plan.steps_for(case.phase), plan.fewest_steps(case.p))
-        named = plan.with_setting(accuracy, usual, case.outputs)
-        found, error = _checked(case, named, plan.check_of(named, case.p, case.duration, case.structure.kinked))
+        pair = plan.named(accuracy, case.p, case.duration, case.outputs, case.structure.kinked)
+        found, error = _checked(case, *pair)
         error, warnings = _warned(case, found, error, None)
     else:
         found, error = _automatic(case, wanted)

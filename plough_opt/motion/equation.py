@@ -47,7 +47,6 @@ from plough_opt.motion.effects.terms import (
     Term,
     Towed,
     TowRamp,
-    resisted,
 )
 
 _Kind = TypeVar("_Kind", bound=Term)
@@ -171,9 +170,13 @@ class Structure:
             return self.profile.start_speed(p)
         return 0.0 if self.ramp else p["tow_speed"]
 
+    def steady_resistance(self, p: Parameters, speed: Expression) -> Expression:
+        """Return the resistance [N] to a buried share that slides at a speed [m/s], without strength waves."""
+        return self._resist(p, p["static"], Place(None, speed))
+
     def start_resistance(self, p: Parameters) -> Expression:
-        """Return the steady resistance to a buried share at the strut's initial speed [N], without strength waves."""
-        return self._resist(p, p["static"], Place(None, self.start_speed(p)))
+        """Return the steady resistance at the strut's initial speed [N]."""
+        return self.steady_resistance(p, self.start_speed(p))
 
     def start_force(self, p: Parameters) -> Expression:
         """Return the spring's force at the start [N]: the steady resistance, or 0 for a relaxed spring."""
@@ -206,14 +209,16 @@ class Structure:
             gain: L' - s'(0), the share's speed relative to the strut's initial speed [m/s].
         """
         at = Place(travel, Changed(self.start_speed(p), gain))
-        found: Any = self._resist(p, Changed(p["static"], 0.0), at)
+        static: Any = Changed(p["static"], 0.0)
+        found: Any = self._resist(p, static, at)
         change: Expression = found.change
         return change
 
-    def _resist(self, p: Parameters, force: Any, at: Place) -> Expression:
+    def _resist(self, p: Parameters, force: Expression, at: Place) -> Expression:
         """Return the resistance that the terms, one after another, make of the static force [N]."""
-        found: Expression = resisted(self.terms, force, at, p)
-        return found
+        for term in self.terms:
+            force = term.resist(force, at, p)
+        return force
 
     def start_state(self, p: Parameters) -> Column:
         """Return the state at time 0 as a column."""

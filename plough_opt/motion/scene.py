@@ -18,7 +18,8 @@ from plough_opt.laws import law_of
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
 from plough_opt.motion.driven import MotionEquation, driven_equation, symbols_of
-from plough_opt.motion.effects import TERMS, Effects, Place, Smooth, resisted
+from plough_opt.motion.effects import Effects, Smooth
+from plough_opt.motion.equation import Structure, parameters
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.soil import Soil
 from plough_opt.soil.strength import PASS, Sliding, Stationary, check_strength, rare_peak, stationary_response
@@ -226,12 +227,7 @@ class Scene:
 
     @cached_property
     def _steady_resistance(self) -> Expression:
-        terms = [term for kind in TERMS for term in kind.of(self)]
-        p: dict[str, Expression] = {"static": self.reaction.static}
-        for term in terms:
-            p |= term.values(self)
-        force: Expression = resisted(terms, p["static"], Place(None, self.tow_speed), p)
-        return force
+        return Structure.of(self).steady_resistance(parameters(self), self.tow_speed)
 
     @property
     @_checked_stationary

@@ -113,7 +113,7 @@ def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
 
 
 def _dot(weights: NDArray[np.float64], values: Column) -> Expression:
-    return ca.dot(ca.DM(weights), values) if is_casadi(values) else float(weights @ values)
+    return ca.dot(weights, values) if is_casadi(values) else float(weights @ values)
 
 
 @checked_in_designs

@@ -4,7 +4,6 @@ import logging
 import math
 import time
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -36,7 +35,6 @@ from plough_opt.motion.solvers import checks, plan
 from plough_opt.motion.solvers.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
 from plough_opt.motion.solvers.compiled_steps import source_of
 from plough_opt.motion.solvers.integrators import (
-    Array,
     Case,
     Integrated,
     compared,
@@ -47,7 +45,7 @@ from plough_opt.motion.solvers.integrators import (
     thinned,
 )
 from plough_opt.motion.solvers.orbit import which_motion
-from plough_opt.motion.solvers.steps import Timeline, ends
+from plough_opt.motion.solvers.steps import Array, Timeline, ends
 from plough_opt.soil.strength import check_strength
 
 _LOG = logging.getLogger(__name__)
@@ -478,10 +476,19 @@ def quasi_static(
 
     Averages are composite Gauss-Legendre quadratures with a panel for each step of the timeline.
     """
-    p = parameters(scene)
+    structure, p = Structure.of(scene), parameters(scene)
     nodes, weights = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
     p["static"] = labelled(p["static"], scene)
-    course = partial(_course, scene, p, duration)
+
+    def course(fractions: Column) -> tuple[Column, Column, Column, Column]:
+        """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
+        if isinstance(fractions, np.ndarray):
+            fractions = column(fractions, holds_casadi((scene, duration)))
+        time = fractions * duration
+        path, speed = structure.towed(p, time)
+        force, everywhere = structure.resistance(p, path, speed), 0.0 * time
+        return time, path + everywhere, speed + everywhere, force + everywhere
+
     time, path, speed, force = course(timeline.output_fractions)
     _, _, node_speed, node_force = course(nodes)
     # Averages of the change since the first node: a constant force then has no variance by rounding of the weights.
@@ -513,22 +520,5 @@ def _quadrature(timeline: Timeline, points: int, duration: Expression, ramp: Exp
     return inner.ravel(), (sizes * weights / 2.0).ravel()
 
 
-def _course(
-    scene: Scene, p: Parameters, duration: Expression, fractions: Column
-) -> tuple[Column, Column, Column, Column]:
-    """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
-    structure = Structure.of(scene)
-    if isinstance(fractions, np.ndarray):
-        fractions = column(fractions, holds_casadi((scene, duration)))
-    time = fractions * duration
-    path, speed = structure.towed(p, time)
-    force = structure.resistance(p, path, speed)
-    everywhere = 0.0 * time
-    return time, path + everywhere, speed + everywhere, force + everywhere
-
-
 def _average(values: Column, weights: Column) -> Expression:
-    if not is_casadi(values):
-        return float(weights @ values)
-    mean: Expression = ca.dot(ca.DM(weights) if isinstance(weights, np.ndarray) else weights, values)
-    return mean
+    return ca.dot(weights, values) if is_casadi(values) else float(weights @ values)

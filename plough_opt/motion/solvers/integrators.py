@@ -13,7 +13,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.checks import Meanings, attach
 from plough_opt.core.errors import InputError, IntegrationError
@@ -34,7 +33,7 @@ from plough_opt.motion.solvers.checks import (
 from plough_opt.motion.solvers.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.solvers.orbit import orbit_map, without_orbit
 from plough_opt.motion.solvers.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, rates_of, timeline_of
-from plough_opt.motion.solvers.steps import Timeline, run_map
+from plough_opt.motion.solvers.steps import Array, Timeline, run_map
 
 # A negligible force [N], which keeps the sizes of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
@@ -306,8 +305,6 @@ def _build(solver: Integration, count: int) -> ca.Function:
     names = ["parameters", "scene"], ["states", "means", "variances"]
     return ca.Function("run", [p, carried], results, *names, {"never_inline": True})
 
-
-Array = NDArray[np.float64]
 
 # An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
 # smaller than this part of it.

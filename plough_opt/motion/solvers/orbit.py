@@ -28,9 +28,7 @@ from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.run import Run, Settled, averages_of
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.plan import numbers_of
-from plough_opt.motion.solvers.steps import Timeline, run_from, step
-
-Array = NDArray[np.float64]
+from plough_opt.motion.solvers.steps import Array, Timeline, run_from, step
 
 # For a root that it does not find, CasADi would print a page. Here such a root becomes NaN, which the caller reports as
 # an IntegrationError.

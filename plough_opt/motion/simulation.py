@@ -148,12 +148,7 @@ def simulate(
         1.0
     """
     accuracy = accuracy or _DEFAULT
-    duration = _checked_duration(scene, duration, accuracy, outputs, compiled)
-    if tow_speed is not None:
-        scene = _with_tow_speed(scene, duration, tow_speed)
-    profile, steps = scene.effects.tow_profile, accuracy.steps
-    if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * len(profile.pieces)):
-        raise InputError(f"accuracy steps = {steps} are too few for the knots of the tow speed: give {fewest} or more")
+    scene, duration = _read(scene, duration, accuracy, outputs, compiled, tow_speed)
     if is_casadi(duration) or _holds_casadi(scene):
         check_single("simulate", (scene, duration))
         p = parameters(scene)
@@ -174,10 +169,14 @@ def repeat(scene: Scene, duration: Expression, *, outputs: int = plan.OUTPUTS) -
     return simulate(scene, duration if scene.effects.orbit == "transient" else None, outputs=outputs)
 
 
-def _checked_duration(
-    scene: Scene, duration: Expression | None, accuracy: Accuracy, outputs: int, compiled: bool
-) -> Expression:
-    """Return the simulated time [s], for an orbit its period; raise InputError if `simulate` refuses its arguments."""
+def _read(
+    scene: Scene, duration: Expression | None, accuracy: Accuracy, outputs: int, compiled: bool, tow_speed: Any
+) -> tuple[Scene, Expression]:
+    """Return the scene, with the course of its tow speed if given, and the simulated time [s], for an orbit its period.
+
+    Raises:
+        InputError, DomainError: `simulate` refuses its arguments.
+    """
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
     check_kind("accuracy", accuracy, Accuracy, "an Accuracy, such as Accuracy('erk')")
     if not is_count(outputs) or outputs > plan.MOST_OUTPUTS:
@@ -194,15 +193,15 @@ def _checked_duration(
     found = duration_of(scene, duration, stacklevel=4)
     if isinstance(found, np.ndarray) and found.ndim > 0:
         raise InputError(f"the duration is an array of {found.size} values: simulate accepts one at a time")
-    return found
-
-
-def _with_tow_speed(scene: Scene, duration: Expression, tow_speed: Any) -> Scene:
-    """Return a scene whose strut has a tow speed [m/s] that varies over time."""
-    if is_symbolic(duration):
-        raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
-    largest, profile = profile_of(tow_speed, float(as_number(duration)))
-    return replace(scene, tow_speed=largest, effects=replace(scene.effects, tow_profile=profile))
+    if tow_speed is not None:
+        if is_symbolic(found):
+            raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
+        largest, course = profile_of(tow_speed, float(as_number(found)))
+        scene = replace(scene, tow_speed=largest, effects=replace(scene.effects, tow_profile=course))
+    profile, steps = scene.effects.tow_profile, accuracy.steps
+    if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * len(profile.pieces)):
+        raise InputError(f"accuracy steps = {steps} are too few for the knots of the tow speed: give {fewest} or more")
+    return scene, found
 
 
 def _symbolic(

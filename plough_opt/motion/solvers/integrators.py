@@ -268,7 +268,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[C
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.structure.orbit != "transient":
             raise InputError("an orbit takes MX symbols only, because it is the root of an equation: use casadi.MX")
-        if tableau_of(solver.accuracy.method) is None:
+        if solver.sized is not None:
             raise InputError(f"method '{solver.accuracy.method}' takes MX symbols only: use casadi.MX, or use 'dop853'")
         return tuple(solver.function.call([inputs]))
     # Quantities are placeholders in the template, so that scenes which differ only in numbers share one Function.

@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import unlabelled
-from plough_opt.core.expressions import Column, Expression, is_casadi, kept, stacked, where
+from plough_opt.core.expressions import Column, Expression, is_casadi, kept, rms, stacked, where
 from plough_opt.motion.effects import (
     TERMS,
     Damping,
@@ -257,6 +257,66 @@ class Structure:
         entry = self.find(Entry)
         return p["added_mass"] if entry is None else p["added_mass"] * entry.buried(p, travel) ** 3
 
+    def outputs(self, p: Parameters, time: Column, state: Sequence[Column]) -> tuple[Column, ...]:
+        """Return what a run reports at its output times.
+
+        Args:
+            p: parameters by name, with "added_mass".
+            time: output times [s].
+            state: a column of these times for each state of `Equation`.
+
+        Returns:
+            Mount force [N], soil resistance with the inertia of the soil carried along [N], deflection [m], speed [m/s]
+            and travel [m] of the share, opening [m], and mode.
+        """
+        if self.entry:
+            p = {**p, "behind": state[2], "entered": state[4]}
+        w, rate = state[:2]
+        mount, initial_speed = self.strut(p, time), self.start_speed(p)
+        gain = mount.gain - rate
+        first = self.start_force(p)
+        ahead, faster = self.lead(p, time)
+        behind = first / p["stiffness"] + w
+        deflection, travel = behind + ahead, mount.path - behind
+        force = first + self.pull(p, w + ahead, rate + faster)
+        soil = self.resistance(p, travel, initial_speed + gain)
+        acceleration = (force - soil) / self.inertia_at(p, travel)
+        soil = soil + (self.carried_mass(p, travel) if self.events else p["added_mass"]) * acceleration
+        speed, opening = initial_speed + gain, 0.0 * w + 0.0
+        mode = opening
+        if self.sticks:
+            opening, mode = state[2:4]
+            if not is_casadi(mode):
+                # An implicit method solves for the mode too, which leaves rounding errors in it.
+                mode = np.round(mode)
+            speed, soil = by_mode(mode, speed, 0.0, speed), by_mode(mode, soil, force, 0.0)
+        return force, soil, deflection, speed, travel, opening, mode
+
+    def averages(self, p: Parameters, means: Column, variances: Column) -> tuple[Expression, ...]:
+        """Return the averages of a run.
+
+        Args:
+            p: parameters by name.
+            means: means of the signals of `Equation`.
+            variances: mean squares about the mean of those signals that have an RMS.
+
+        Returns:
+            Mean and RMS of the mount force [N], mean and RMS of the deflection [m], tow power [W].
+        """
+        first, spring = self.start_force(p), p["stiffness"]
+        stiffness = abs(spring)  # a repelling spring has a negative one
+        # Only an expression is smoothed, on the scale of the steady resistance.
+        scale = self.steady_resistance(p, p["tow_speed"]) if is_casadi(variances) else 0.0
+        displacement_rms = rms(variances[0], scale / stiffness)
+        if self.damper:
+            mean_draft = first + self.pull(p, 0.0, self.start_rate(p)) + means[1]
+            force_rms = rms(variances[1], scale)
+        else:
+            mean_draft = first + spring * means[0]
+            force_rms = stiffness * displacement_rms
+        tow_power = means[-1] if self.accelerates else mean_draft * p["tow_speed"]
+        return mean_draft, force_rms, first / spring + means[0], displacement_rms, tow_power
+
 
 @kept
 def _structure(scene: Towed) -> Structure:
@@ -338,11 +398,11 @@ class Equation:
 
     @cached_property
     def outputs(self) -> tuple[tuple[str, ...], ca.Function]:
-        """Names of parameters, and (column of time and state, those parameters) -> the first five of `outputs`."""
+        """Names of parameters, and (column of time and state, the latter) -> the first five of `Structure.outputs`."""
         symbols = {name: ca.SX.sym(name) for name in self.structure.names}
         given = ca.SX.sym("given", 1 + self.states)
         time, *state = ca.vertsplit(given)
-        found = ca.vertcat(*outputs(self.structure, symbols, time, state)[:5])
+        found = ca.vertcat(*self.structure.outputs(symbols, time, state)[:5])
         used = {symbol.name() for symbol in ca.symvar(found)}
         names = tuple(name for name in self.structure.names if name in used)
         return names, ca.Function("outputs", [given, stacked(*(symbols[name] for name in names))], [ca.cse(found)])
@@ -485,40 +545,3 @@ def equation_of(structure: Structure) -> Equation:
         count=len(values),
         squared=2 if structure.damper else 1,
     )
-
-
-def outputs(structure: Structure, p: Parameters, time: Column, state: Sequence[Column]) -> tuple[Column, ...]:
-    """Return what a run reports at its output times.
-
-    Args:
-        structure: the terms that are on.
-        p: parameters by name, with "added_mass".
-        time: output times [s].
-        state: a column of these times for each state of `Equation`.
-
-    Returns:
-        Mount force [N], soil resistance with the inertia of the soil carried along [N], deflection [m], speed [m/s] and
-        travel [m] of the share, opening [m], and mode.
-    """
-    if structure.entry:
-        p = {**p, "behind": state[2], "entered": state[4]}
-    w, rate = state[:2]
-    mount, initial_speed = structure.strut(p, time), structure.start_speed(p)
-    gain = mount.gain - rate
-    first = structure.start_force(p)
-    ahead, faster = structure.lead(p, time)
-    behind = first / p["stiffness"] + w
-    deflection, travel = behind + ahead, mount.path - behind
-    force = first + structure.pull(p, w + ahead, rate + faster)
-    soil = structure.resistance(p, travel, initial_speed + gain)
-    acceleration = (force - soil) / structure.inertia_at(p, travel)
-    soil = soil + (structure.carried_mass(p, travel) if structure.events else p["added_mass"]) * acceleration
-    speed, opening = initial_speed + gain, 0.0 * w + 0.0
-    mode = opening
-    if structure.sticks:
-        opening, mode = state[2:4]
-        if not is_casadi(mode):
-            # An implicit method solves for the mode too, which leaves rounding errors in it.
-            mode = np.round(mode)
-        speed, soil = by_mode(mode, speed, 0.0, speed), by_mode(mode, soil, force, 0.0)
-    return force, soil, deflection, speed, travel, opening, mode

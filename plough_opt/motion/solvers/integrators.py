@@ -21,7 +21,7 @@ from plough_opt.core.process import without_notices
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Equation, Structure, equation_of, lightest_mass
 from plough_opt.motion.methods import METHODS, Accuracy, tableau_of
-from plough_opt.motion.run import ARRAYS, Run, assemble, averages_of
+from plough_opt.motion.run import ARRAYS, Averages, Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.checks import (
     failed_by,
@@ -447,7 +447,9 @@ def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrate
     if found is None:
         return None
     (force, soil, deflection, speed, travel), sizes, averages = found
-    ours, theirs = (averages_of(scene, p, row[: equation.count], row[equation.count :]) for row in averages.tolist())
+    ours, theirs = (
+        Averages(*case.structure.averages(p, row[: equation.count], row[equation.count :])) for row in averages.tolist()
+    )
     time, none = timelines[0].output_fractions * case.duration, np.zeros(len(force))
     run = Run(scene, case.duration, time, travel, speed, deflection, force, soil, none, none, ours, accuracy)
     largest, differences = sizes.tolist()

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from plough_opt.core.expressions import Column, stacked
 from plough_opt.motion.effects import StrengthWaves, wave_names
 from plough_opt.motion.equation import Equation, Structure, equation_of
-from plough_opt.motion.run import Run, Settled, averages_of
+from plough_opt.motion.run import Run, Settled
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.plan import numbers_of
 from plough_opt.motion.solvers.steps import Array, Timeline, run_from, step
@@ -461,9 +461,8 @@ class _Path:
         p = ca.vertcat(self.p[:-1], count * float(self.run.duration))
         found = run_from(self.equation, timeline)(self.states[-1 - count], p)
         states, means, variances = (np.asarray(result) for result in found)
-        scene = self.run.scene
-        averages = averages_of(scene, self.numbers, means.ravel(), variances.ravel())
-        return float(averages.force_rms), count, distance, bool(np.max(states[1]) > scene.tow_speed)
+        _, force_rms, *_ = self.equation.structure.averages(self.numbers, means.ravel(), variances.ravel())
+        return float(force_rms), count, distance, bool(np.max(states[1]) > self.run.scene.tow_speed)
 
 
 @lru_cache(maxsize=32)

@@ -85,10 +85,16 @@ class Structure:
     ramp, damper, entry = _has(TowRamp), _has(Damping), _has(Entry)
     smooth, sticks = _has(SmoothContact), _has(StickSlipContact)
 
-    @classmethod
-    def of(cls, scene: Towed) -> Structure:
+    @staticmethod
+    @kept
+    def of(scene: Towed) -> Structure:
         """Return the structure of a scene."""
-        return _structure(scene)
+        effects, orbit = scene.effects, scene.effects.orbit
+        terms = tuple(term for kind in TERMS for term in kind.of(scene))
+        carries = effects.added_mass and effects.events
+        if isinstance(orbit, HarmonicBalance):
+            return Structure(terms, effects.start, carries, "harmonic_balance", orbit.harmonics)
+        return Structure(terms, effects.start, carries, orbit)
 
     def find(self, kind: type[_Kind]) -> _Kind | None:
         """Return the term of a class, or None if that effect is off."""
@@ -318,19 +324,9 @@ class Structure:
         return mean_draft, force_rms, first / spring + means[0], displacement_rms, tow_power
 
 
-@kept
-def _structure(scene: Towed) -> Structure:
-    effects, orbit = scene.effects, scene.effects.orbit
-    terms = tuple(term for kind in TERMS for term in kind.of(scene))
-    carries = effects.added_mass and effects.events
-    if isinstance(orbit, HarmonicBalance):
-        return Structure(terms, effects.start, carries, "harmonic_balance", orbit.harmonics)
-    return Structure(terms, effects.start, carries, orbit)
-
-
-def parameters(scene: Towed, structure: Structure | None = None) -> dict[str, Expression]:
+def parameters(scene: Towed) -> dict[str, Expression]:
     """Return the parameters that the equation of motion may need, by name, in SI units."""
-    structure = structure or Structure.of(scene)
+    structure = Structure.of(scene)
     with unlabelled():  # a design checks a run together with its scene
         inertia, reaction = scene.inertia, scene.reaction
         values = {

@@ -20,7 +20,7 @@ from plough_opt.core.expressions import Column, Expression, classes_in, is_symbo
 from plough_opt.core.process import without_notices
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Equation, Structure, equation_of, lightest_mass
-from plough_opt.motion.methods import METHODS, Accuracy, tableau_of
+from plough_opt.motion.methods import METHODS, Accuracy
 from plough_opt.motion.run import ARRAYS, Averages, Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.checks import (
@@ -111,7 +111,7 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
     equation = equation_of(structure)
     if structure.orbit != "transient":
         return Integration(equation, accuracy, timeline, orbit_map(equation, timeline))
-    if (tableau := tableau_of(accuracy.method)) is not None:
+    if (tableau := accuracy.tableau) is not None:
         return Integration(equation, accuracy, timeline, run_map(equation, timeline, tableau))
     # The end of a symbolic ramp cannot be an output time, and a step across it would spoil derivatives by its time.
     locates = timeline.moving and accuracy.locates_events
@@ -262,8 +262,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[C
     Raises:
         InputError: the symbols are SX, and the method supports only MX.
     """
-    template, quantities = template_of(scene)
-    carried = stacked(*quantities)
+    template, carried, key = _carried(scene)
     inputs = stacked(*p)
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.structure.orbit != "transient":
@@ -272,18 +271,18 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[C
             raise InputError(f"method '{solver.accuracy.method}' takes MX symbols only: use casadi.MX, or use 'dop853'")
         return tuple(solver.function.call([inputs]))
     # Quantities are placeholders in the template, so that scenes which differ only in numbers share one Function.
-    layout = (hash(solver.function), _key(template))
-    run = _RUNS.shared(layout, lambda: (_build(solver, carried.numel()), Embedding(solver, template)))
+    run = _RUNS.shared(
+        (hash(solver.function), key), lambda: (_build(solver, carried.numel()), Embedding(solver, template))
+    )
     return tuple(run.call([inputs, carried]))
 
 
 def labelled(value: Column, scene: Scene) -> Expression:
     """Return a value with its scene attached as a label if the scene holds MX symbols."""
-    template, quantities = template_of(scene)
-    carried = stacked(*quantities)
+    template, carried, key = _carried(scene)
     if isinstance(carried, ca.MX) and is_symbolic(carried):
         value = ca.MX(value)
-    return attach(value, carried, template, _key(template))
+    return attach(value, carried, template, key)
 
 
 def embedding_of(function: ca.Function) -> Embedding | None:
@@ -291,10 +290,15 @@ def embedding_of(function: ca.Function) -> Embedding | None:
     return _RUNS.of(function)
 
 
-def _key(template: Scene) -> Hashable:
-    """Return a key of a template: its repr, the classes in it, and the function of its density profile."""
+def _carried(scene: Scene) -> tuple[Scene, Column, Hashable]:
+    """Return a scene's template, a column of its quantities, and a key of the template.
+
+    The key is its repr, the classes in it, and the function of its density profile.
+    """
+    template, quantities = template_of(scene)
     profile = template.soil.density_profile
-    return repr(template), classes_in(template), None if profile is None else id(profile.density)
+    key = repr(template), classes_in(template), None if profile is None else id(profile.density)
+    return template, stacked(*quantities), key
 
 
 def _build(solver: Integration, count: int) -> ca.Function:

@@ -76,8 +76,6 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
         >>> round(float(po.resistance_coefficients(cone, soil).A) / 1e3, 1)
         2.8
     """
-    check_cone(cone)
-    check_soil(soil)
     p = _mean_wall_pressure(cone, soil)
     slope = cone.slope
     return ResistanceCoefficients(
@@ -85,11 +83,12 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     )
 
 
-def check_cone(cone: Cone) -> None:
-    """Raise InputError if the cone has the wrong type; for a wedge the message points to its equivalent cone."""
+def _check(cone: Cone, soil: Soil) -> None:
+    """Raise InputError if one has the wrong type; for a wedge the message points to its equivalent cone."""
     if not isinstance(cone, Cone):
         remedy = ": use its equivalent_cone()" if isinstance(cone, Wedge) else ""
         raise InputError(f"the cone = {shown(cone)} must be a Cone{remedy}")
+    check_soil(soil)
 
 
 def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
@@ -97,6 +96,7 @@ def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
 
     Strength and rate are weighted with x and the inertia with x^2, as in the integral (24).
     """
+    _check(cone, soil)
     profile = soil.density_profile
     if profile is None:
         return wall_pressure(soil)
@@ -129,8 +129,6 @@ def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
         >>> float(po.soil_reaction(cone, soil).added_mass) > 0.0
         True
     """
-    check_cone(cone)
-    check_soil(soil)
     p = _mean_wall_pressure(cone, soil)
     slope = cone.slope
     face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
@@ -203,8 +201,7 @@ def loosened_radius(cone: Cone, soil: Soil) -> Expression:
         >>> round(float(po.loosened_radius(cone, soil)), 3) > 0.04
         True
     """
-    check_cone(cone)
-    check_soil(soil)
+    _check(cone, soil)
     at_base = Cavity(radius=cone.height * cone.slope, rate=0.0, acceleration=0.0)
     return front_radius(at_base, soil)
 
@@ -495,7 +492,7 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
 
 def _cavity_reaction(cone: Cone, soil: Soil, speed: Expression) -> SoilReaction:
     """Return static draft and coefficient of the squared speed; the speed itself is only checked."""
-    check_cone(cone)
+    _check(cone, soil)
     check_domain("speed", speed, "m/s", at_least=0.0)
     cavity = spherical_cavity(soil)
     along = sin(cone.half_angle)

@@ -403,7 +403,7 @@ class _Path:
         """Begin at equilibrium."""
         self.run, self.equation, self.numbers = run, equation_of(Structure.of(run.scene)), numbers_of(run.scene)
         self.steps = run.accuracy.steps or 1
-        self.p = ca.DM([*(self.numbers[name] for name in self.equation.names), float(run.duration)])
+        self.p = ca.DM(self.equation.column(self.numbers, float(run.duration)))
         first = float(self.equation.structure.start_deflection(self.numbers))
         w, rate = run.deflection - first, run.scene.tow_speed - run.speed
         frequency = max(float(run.scene.wave_frequency), float(run.scene.natural_frequency))

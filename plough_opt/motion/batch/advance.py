@@ -184,8 +184,6 @@ class StartValues:
         force: mount force at the start [N].
         deflection: of the spring at the start [m].
         tow_speed: of the strut, after a ramp [m/s].
-        stiffness: of the mount [N/m].
-        restoring: the same, negative for a repelling spring [N/m].
     """
 
     rate: Column
@@ -193,24 +191,24 @@ class StartValues:
     force: Column
     deflection: Column
     tow_speed: Column
-    stiffness: Column
-    restoring: Column
 
-    def results(self, layout: Layout, state: Array) -> Array:
+    def results(self, layout: Layout, p: Array, state: Array) -> Array:
         """Return `RESULTS` and the relative error, a row each.
 
         Args:
-            layout: of the state.
+            layout: of parameters and state.
+            p: parameters of the steps, a row each.
             state: at the end, from the means on, a row each.
         """
         means, variances, _ = np.split(state, [layout.equation.count, layout.equation.averages])
-        displacement_rms = np.sqrt(variances[0])
+        spring, displacement_rms = p[layout.names.index("stiffness")], np.sqrt(variances[0])
+        stiffness = np.abs(spring)  # a repelling spring has a negative one
         # Without a damper the mount force is that of the spring, and there is no signal for it.
-        mean_draft = self.force + (means[1] if layout.equation.squared > 1 else self.restoring * means[0])
-        force_rms = np.sqrt(variances[1]) if layout.equation.squared > 1 else self.stiffness * displacement_rms
+        mean_draft = self.force + (means[1] if layout.equation.squared > 1 else spring * means[0])
+        force_rms = np.sqrt(variances[1]) if layout.equation.squared > 1 else stiffness * displacement_rms
         tow_power = means[-1] if layout.structure.ramp else mean_draft * self.tow_speed
         size = np.maximum(np.abs(mean_draft), force_rms)
-        error = np.divide(np.sqrt(state[-1]) * self.stiffness, size, out=np.zeros_like(size), where=size != 0.0)
+        error = np.divide(np.sqrt(state[-1]) * stiffness, size, out=np.zeros_like(size), where=size != 0.0)
         # Motions that diverge for very long leave the range of floating point.
         error[np.isnan(error)] = np.inf
         return np.stack([mean_draft, force_rms, self.deflection + means[0], displacement_rms, tow_power, error])
@@ -232,8 +230,6 @@ def setup(layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[C
         force=structure.start_force(known) + structure.pull(known, 0.0, rate),
         deflection=structure.start_deflection(known),
         tow_speed=scene.tow_speed,
-        stiffness=scene.stiffness,
-        restoring=scene.restoring_stiffness,
     )
     longest_first_step, allowed_error = duration / (1.0 + phase), error * size * part
     column = stacked(*values, end, duration, longest_first_step, allowed_error, *vars(start).values())

@@ -373,7 +373,7 @@ class Batch:
         steps = self._run(p, states, key)
         results = np.empty((len(RESULTS) + 3, p.shape[1]))
         with np.errstate(all="ignore"):
-            *results[: len(RESULTS)], results[-2] = start.results(self._layout, states[3:])
+            *results[: len(RESULTS)], results[-2] = start.results(self._layout, p, states[3:])
         results[-3], results[-1] = largest, steps
         # Of a finished run only the error may have left the range of floating point.
         results[:-1, np.isnan(states[0])] = np.nan

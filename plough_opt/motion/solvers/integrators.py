@@ -429,8 +429,7 @@ def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, per
         if not case.explained:
             raise IntegrationError(f"the motion of a {scene.describe()} could not be integrated")
         raise failed_by(scene, duration, (accuracy, outputs), *_until_failure(case, solver, p))
-    states, means, variances = results
-    run = _assembled(case, timeline, (states.T, means.ravel(), variances.ravel()), accuracy)
+    run = _assembled(case, timeline, results, accuracy)
     if isinstance(scene.effects.contact, StickSlip):
         refuse_missed_event(run)
         refuse_weak_rest(run)
@@ -460,8 +459,12 @@ def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrate
     return Integrated(run), relative_difference(run, largest, differences, theirs)
 
 
-def _assembled(case: Case, timeline: Timeline, found: tuple[Array, Array, Array], accuracy: Accuracy) -> Run:
-    """Return the run of (states with a row for each output, means of the signals, mean squares about them)."""
+Results = tuple[Array, Array, Array]
+"""States at the output times, a row each, means of the signals, and mean squares about them."""
+
+
+def _assembled(case: Case, timeline: Timeline, found: Results, accuracy: Accuracy) -> Run:
+    """Return the run that belongs to results of its integration."""
     return assemble(case.scene, case.duration, timeline.output_fractions, *found, accuracy, case.p)
 
 
@@ -473,7 +476,7 @@ def thinned(run: Run, outputs: int) -> Run:
     return replace(run, **{name: getattr(run, name)[::every] for name in ARRAYS})
 
 
-def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[list[Array] | None, Array | None]:
+def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[Results | None, Array | None]:
     """Return the results of an adaptive method (None if it failed) and the sizes of their quantities."""
     expected = sized.expected(p).full().ravel()
     results = _attempt(sized.function, p, expected if sizes is None else sizes)
@@ -487,13 +490,12 @@ def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[list[Arra
     return results, found
 
 
-def _sizes(results: list[Array], expected: Array) -> Array:
+def _sizes(results: Results, expected: Array) -> Array:
     """Return the expected sizes, replaced by the true ones where these are far smaller."""
     states, means, variances = results
-    rms = np.sqrt(np.maximum(variances.ravel(), 0.0))
-    averages = np.abs(means.ravel())
+    rms, averages = np.sqrt(np.maximum(variances, 0.0)), np.abs(means)
     averages[: rms.size] += rms
-    found = np.concatenate([np.abs(states[:2]).max(axis=1), averages, rms])
+    found = np.concatenate([np.abs(states[:, :2]).max(axis=0), averages, rms])
     return np.where((found > 0.0) & (found < _TOO_SMALL * expected), found, expected)
 
 
@@ -506,7 +508,7 @@ def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run
     if _attempt(coarse_solver.function, p) is None:
         solver = coarse_solver
     reached, failed = 0.0, case.duration
-    last: list[Array] | None = None
+    last: Results | None = None
     while failed - reached > failed * _FAILURE_INTERVAL and failed > _EARLIEST_FAILURE * case.duration:
         middle = (reached + failed) / 2.0
         results = _attempt(solver.function, [*p[:-1], middle])
@@ -516,15 +518,13 @@ def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run
             reached, last = middle, results
     if last is None:
         return None, failed
-    states, means, variances = last
     until = replace(case, duration=reached)
-    found = states.T, means.ravel(), variances.ravel()
     with np.errstate(all="ignore"):  # steps that are too long may give any numbers
-        return _assembled(until, solver.timeline, found, solver.accuracy), failed - reached
+        return _assembled(until, solver.timeline, last, solver.accuracy), failed - reached
 
 
-def _attempt(function: Any, *inputs: list[float] | Array) -> list[Array] | None:
-    """Return the results of a Function, or None if it failed or they are not finite."""
+def _attempt(function: Any, *inputs: list[float] | Array) -> Results | None:
+    """Return the results of an integration's Function, or None if it failed or they are not finite."""
     given = [np.array(values) for values in inputs]
     untyped: Any = function.buffer()  # CasADi's type stubs do not accept arrays
     buffer, evaluate = untyped
@@ -540,4 +540,5 @@ def _attempt(function: Any, *inputs: list[float] | Array) -> list[Array] | None:
     except RuntimeError:
         return None
     valid = buffer.ret() == 0 and all(np.isfinite(result).all() for result in results)
-    return results if valid else None
+    states, means, variances = results
+    return (states.T, means.ravel(), variances.ravel()) if valid else None

@@ -34,7 +34,7 @@ from plough_opt.core.expressions import Column, Expression, absolute, minimum, s
 from plough_opt.core.plain_data import Array
 from plough_opt.motion.batch.series import Graph, Series, Switch, series_of
 from plough_opt.motion.effects import StrengthWaves
-from plough_opt.motion.equation import Equation, Structure, equation_of, parameters
+from plough_opt.motion.equation import Equation, Structure, parameters
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.plan import rates
 
@@ -59,9 +59,8 @@ class Layout:
     switches: int
 
     @classmethod
-    def of(cls, structure: Structure) -> Layout:
-        """Return the layout of a structure."""
-        equation = equation_of(structure)
+    def of(cls, equation: Equation) -> Layout:
+        """Return the layout of an equation of motion."""
         graph, unknown = Graph(), ca.SX.sym("unknown")
         state, known = [graph.given(unknown) for _ in range(2)], [graph.constant(unknown) for _ in equation.names]
         series_of(graph, equation.rate, [[graph.clock(unknown)], state, known])
@@ -261,9 +260,8 @@ def function_of_column(name: str, inputs: Sequence[Column], result: Column) -> c
 
 
 @lru_cache(maxsize=16)
-def slopes(structure: Structure) -> ca.Function:
+def slopes(equation: Equation) -> ca.Function:
     """Return (time, (w, w'), parameters of the equation of motion) -> (dw''/dw [1/s^2], dw''/dw' [1/s])."""
-    equation = equation_of(structure)
     time, state, p = ca.SX.sym("time"), ca.SX.sym("state", 2), ca.SX.sym("p", len(equation.names))
     found = ca.densify(ca.jacobian(equation.rate(time, state, p)[1], state))
     return ca.Function("slopes", [time, state, p], [ca.cse(found.T)])
@@ -283,7 +281,7 @@ def _phase_and_error_part(layout: Layout) -> ca.Function:
     soil_over_mount, decay = ca.SX(0), ca.SX(0)
     for k in range(_MOMENTS):
         moment = duration * math.fmod(_GOLDEN_SECTION * (k + 0.5), 1.0)
-        spring, damper = ca.vertsplit(slopes(layout.structure)(moment, ca.SX.zeros(2), p[: len(layout.names)]))
+        spring, damper = ca.vertsplit(slopes(layout.equation)(moment, ca.SX.zeros(2), p[: len(layout.names)]))
         soil_over_mount = soil_over_mount + ca.fabs(spring + frequency_squared) / (_MOMENTS * frequency_squared)
         decay = decay - damper / (2.0 * _MOMENTS)
     # An overdamped mount has two rates of decay; this is the slower one, times the duration.
@@ -320,7 +318,7 @@ def deviation_map(start: StepStart, motion: tuple[list[ca.SX], list[ca.SX]], pow
     """
     graph = start.graph()
     known = [graph.given(*coefficients[:_SPRING_TERMS]) for coefficients in motion]
-    spring, damper = start.series(graph, slopes(start.layout.structure), known)
+    spring, damper = start.series(graph, slopes(start.layout.equation), known)
     for order in range(_SPRING_TERMS):
         graph.extend(order)
     size, frequency = powers[1], start.layout.mount_frequency(start.p)

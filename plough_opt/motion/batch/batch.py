@@ -49,7 +49,7 @@ from plough_opt.motion.batch.advance import (
 )
 from plough_opt.motion.batch.series import Engine
 from plough_opt.motion.effects import StickSlip
-from plough_opt.motion.equation import Structure
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers.orbit import inverse, near_orbit, returning, without_orbit
 from plough_opt.motion.vocabulary import called
@@ -204,7 +204,7 @@ class Batch:
         check_single("the duration of a batch", duration)
         symbols = _symbols(inputs)
         self._error = error
-        self._layout = Layout.of(Structure.of(scene))
+        self._layout = Layout.of(equation_of(Structure.of(scene)))
         template, quantities = template_of(scene)
         self._check = DomainCheck(template, [None if is_symbolic(q) else float(as_number(q)) for q in quantities])
         varying = [q for q in quantities if is_symbolic(q)]

@@ -8,21 +8,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_domain, check_single, checked_in_designs, limited_in_designs, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import (
-    Column,
     Expression,
     column,
     cos,
+    dot,
     expm1_ratio,
     gauss_legendre,
     holds_casadi,
-    is_casadi,
     log,
     sin,
     sqrt,
@@ -106,14 +103,10 @@ def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
     shares = column(nodes, holds_casadi((cone, soil)))
     p = wall_pressure(soil, cone.height * cone.slope * shares)
     return WallPressure(
-        strength=_dot(2.0 * weights * nodes, p.strength),
-        rate=_dot(2.0 * weights * nodes, p.rate),
-        inertia=_dot(3.0 * weights * nodes**2, p.inertia),
+        strength=dot(2.0 * weights * nodes, p.strength),
+        rate=dot(2.0 * weights * nodes, p.rate),
+        inertia=dot(3.0 * weights * nodes**2, p.inertia),
     )
-
-
-def _dot(weights: NDArray[np.float64], values: Column) -> Expression:
-    return ca.dot(weights, values) if is_casadi(values) else float(weights @ values)
 
 
 @checked_in_designs

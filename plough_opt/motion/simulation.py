@@ -17,6 +17,7 @@ from plough_opt.core.expressions import (
     Expression,
     as_number,
     column,
+    dot,
     holds_casadi,
     is_casadi,
     is_count,
@@ -492,13 +493,13 @@ def quasi_static(
     _, _, node_speed, node_force = course(nodes)
     # Averages of the change since the first node: a constant force then has no variance by rounding of the weights.
     change = node_force - node_force[0]
-    mean_change = _average(change, weights)
+    mean_change = dot(weights, change)
     mean_draft = node_force[0] + mean_change
-    variance = _average((change - mean_change) ** 2, weights)
+    variance = dot(weights, (change - mean_change) ** 2)
     with unlabelled():
         force_rms = rms(variance, scene.steady_resistance)
     stiffness, still = scene.stiffness, 0.0 * force + 0.0
-    tow_power = _average(node_force * node_speed, weights)
+    tow_power = dot(weights, node_force * node_speed)
     averages = Averages(mean_draft, force_rms, mean_draft / stiffness, force_rms / stiffness, tow_power)
     deflection = force / stiffness
     return Run(scene, duration, time, path, speed, deflection, force, force, still, still, averages, accuracy)
@@ -517,7 +518,3 @@ def _quadrature(timeline: Timeline, points: int, duration: Expression, ramp: Exp
     sizes = np.diff(timeline.nodes)[:, None]
     inner = timeline.nodes[:-1, None] + sizes * (nodes + 1.0) / 2.0
     return inner.ravel(), (sizes * weights / 2.0).ravel()
-
-
-def _average(values: Column, weights: Column) -> Expression:
-    return ca.dot(weights, values) if is_casadi(values) else float(weights @ values)

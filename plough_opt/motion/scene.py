@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar
 
 from plough_opt.core.checks import check_domain, check_kind, checked_in_designs, limited_in_designs, unlabelled
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
+from plough_opt.core.expressions import Expression, as_number, is_symbolic, kept, rms, sqrt
 from plough_opt.core.plain_data import ByName
 from plough_opt.core.quantities import BESIDE, QUANTITIES, read_fields
 from plough_opt.laws import law_of
@@ -116,12 +116,9 @@ class Scene:
 
     @property
     @_checked_in_designs
+    @kept
     def reaction(self) -> SoilReaction:
         """F0 [N], Fd [N s^2/m^2] and added mass [kg]; Fd and the added mass are zero if their effect is off."""
-        return self._reaction
-
-    @cached_property
-    def _reaction(self) -> SoilReaction:
         full = self._reaction_at(self._at)
         drag = full.drag if self.effects.inertial_drag else 0.0
         return SoilReaction(full.static, drag, full.added_mass if self.effects.added_mass else 0.0)
@@ -221,12 +218,9 @@ class Scene:
 
     @property
     @_checked_in_designs
+    @kept
     def steady_resistance(self) -> Expression:
         """Resistance [N] by all effects of a share that slides at the tow speed, without the strength wave."""
-        return self._steady_resistance
-
-    @cached_property
-    def _steady_resistance(self) -> Expression:
         return Structure.of(self).steady_resistance(parameters(self), self.tow_speed)
 
     @property

@@ -202,8 +202,7 @@ class Scene:
         Raises:
             InputError: the law of resistance does not give it.
         """
-        with unlabelled():
-            return self.law.loosened_radius(self._under_pressure)
+        return self.law.loosened_radius(self._under_pressure)
 
     @property
     @_checked_in_designs
@@ -277,8 +276,7 @@ class Scene:
         """Linearised response about steady sliding."""
         self.check_stationary()
         effects, speed = self.effects, self.tow_speed
-        with unlabelled():
-            static, drag, inertia = self.reaction.static, self.reaction.drag, self.inertia
+        static, drag, inertia = self.reaction.static, self.reaction.drag, self.inertia
         linear, rate = (0.0 if term is None else term for term in (effects.speed_term, effects.rate_term))
         by_speed, by_square = 1.0 + linear * speed, 1.0 + rate * speed**2
         force = static * by_speed * by_square

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_kind, check_single, check_switch, shown, unlabelled
+from plough_opt.core.checks import check_kind, check_single, check_switch, shown
 from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import (
@@ -478,6 +478,7 @@ def quasi_static(
     """
     structure, p = Structure.of(scene), parameters(scene)
     nodes, weights = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
+    steady = structure.steady_resistance(p, scene.tow_speed)
     p["static"] = labelled(p["static"], scene)
 
     def course(fractions: Column) -> tuple[Column, Column, Column, Column]:
@@ -496,9 +497,7 @@ def quasi_static(
     mean_change = dot(weights, change)
     mean_draft = node_force[0] + mean_change
     variance = dot(weights, (change - mean_change) ** 2)
-    with unlabelled():
-        force_rms = rms(variance, scene.steady_resistance)
-    stiffness, still = scene.stiffness, 0.0 * force + 0.0
+    force_rms, stiffness, still = rms(variance, steady), scene.stiffness, 0.0 * force + 0.0
     tow_power = dot(weights, node_force * node_speed)
     averages = Averages(mean_draft, force_rms, mean_draft / stiffness, force_rms / stiffness, tow_power)
     deflection = force / stiffness

@@ -59,6 +59,10 @@ def _has(kind: type[Term]) -> cached_property[bool]:
     return cached_property(lambda structure: structure.find(kind) is not None)
 
 
+def _term(kind: type[_Kind]) -> cached_property[_Kind | None]:
+    return cached_property(lambda structure: structure.find(kind))
+
+
 @dataclass(frozen=True)
 class Structure:
     """Terms of a scene's equation of motion without their numbers. Scenes of equal structure share one graph.
@@ -84,6 +88,8 @@ class Structure:
     # Whether an effect is on.
     ramp, damper, entry = _has(TowRamp), _has(Damping), _has(Entry)
     smooth, sticks = _has(SmoothContact), _has(StickSlipContact)
+    # Strength waves along the path, and the profile of the strut's speed; None if they are off.
+    wave, profile = _term(StrengthWaves), _term(TowProfile)
 
     @staticmethod
     @kept
@@ -105,16 +111,6 @@ class Structure:
         """Names of all parameters that the terms may need, in order."""
         by_step = ("ramped",) if self.ramp_by_step else ()
         return (*_COMMON, *(name for term in self.terms for name in term.names), *by_step)
-
-    @cached_property
-    def wave(self) -> StrengthWaves | None:
-        """Strength waves along the path, or None."""
-        return self.find(StrengthWaves)
-
-    @cached_property
-    def profile(self) -> TowProfile | None:
-        """Profile of the strut's speed, or None."""
-        return self.find(TowProfile)
 
     @property
     def accelerates(self) -> bool:

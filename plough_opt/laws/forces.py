@@ -27,7 +27,7 @@ from plough_opt.core.expressions import (
 from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.elastic import cone_force
 from plough_opt.soil.geometry import Cone, Wedge
-from plough_opt.soil.plastic import Cavity, WallPressure, front_radius, wall_pressure
+from plough_opt.soil.plastic import WallPressure, front, wall_pressure
 from plough_opt.soil.soil import CONE_HALF_ANGLE, Soil, check_soil
 
 # Height [m] of a penetrometer's standard cone, whose base is 323 mm^2; it matters only with a density profile.
@@ -195,8 +195,7 @@ def loosened_radius(cone: Cone, soil: Soil) -> Expression:
         True
     """
     _check(cone, soil)
-    at_base = Cavity(radius=cone.height * cone.slope, rate=0.0, acceleration=0.0)
-    return front_radius(at_base, soil)
+    return front(cone.height * cone.slope, soil)
 
 
 def cone_index(soil: Soil) -> Expression:

@@ -114,11 +114,6 @@ class Timeline:
         apart = [kink for kink in self.kinks if np.min(np.abs(nodes - kink)) >= _SHORT]
         return np.sort(np.append(nodes, apart)) if apart else nodes
 
-    @cached_property
-    def output_columns(self) -> list[int]:
-        """Index of each output time among the nodes of an aligned timeline."""
-        return [int(i) for i in np.searchsorted(self.nodes, self.output_fractions - 1e-12)]
-
 
 class Readings(NamedTuple):
     """Ends of steps from which each output is interpolated, and their weights.
@@ -144,7 +139,8 @@ def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX |
         duration: simulated time [s].
         ramp: time of a ramp [s] whose end is an additional end of a step; None without one.
     """
-    columns = timeline.output_columns
+    # Index of each output time among the nodes, where one of them is at each.
+    columns = [int(i) for i in np.searchsorted(timeline.nodes, timeline.output_fractions - 1e-12)]
     if ramp is not None:
         # After the ramp's end an output is one column further on.
         reached = ca.repmat(ca.DM(timeline.output_fractions).T * duration <= ramp, states.shape[0], 1)

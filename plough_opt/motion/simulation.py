@@ -385,19 +385,21 @@ def _checked(
     case: Case, accuracy: Accuracy, check: Accuracy, last: Integrated | None = None
 ) -> tuple[Integrated, float]:
     """Return the run by one setting, and its error as estimated from a run by another, which may be the last one."""
+    is_coarser = check.method == accuracy.method and (
+        (check.steps or 0) < (accuracy.steps or 0) or (check.tolerance or 0.0) > (accuracy.tolerance or 0.0)
+    )
     if (pair := compared(case, accuracy, check)) is not None:
         found, apart = pair
-    elif accuracy.adaptive and _is_coarser(check, accuracy):
+    elif accuracy.adaptive and is_coarser:
         # The finer run relates its tolerance to the sizes that the coarser one found.
         other = integrate(case, check)
         found = integrate(case, accuracy, other.sizes)
         apart = _difference(case, found, other)
     else:
         found = integrate(case, accuracy)
-        is_check = last is not None and last.run.accuracy == check
-        other = last if last and is_check else _check_run(case, accuracy, check, found.sizes)
+        other = last if last and last.run.accuracy == check else _check_run(case, accuracy, check, found.sizes)
         apart = _difference(case, found, other)
-    error = apart * (1.0 if _is_coarser(check, accuracy) and not case.structure.kinked else _MARGIN_OF_CHECK)
+    error = apart * (1.0 if is_coarser and not case.structure.kinked else _MARGIN_OF_CHECK)
     return found, max(error, unnoticed_stops(found.run, case.rate, error))
 
 
@@ -417,13 +419,6 @@ def _check_run(case: Case, accuracy: Accuracy, check: Accuracy, sizes: Array | N
             raise
         # Fixed steps may be too long for what an adaptive method resolves.
         return integrate(case, plan.finer(accuracy), sizes)
-
-
-def _is_coarser(one: Accuracy, other: Accuracy) -> bool:
-    """Return whether two accuracies have the same method and the first has the coarser setting."""
-    return one.method == other.method and (
-        (one.steps or 0) < (other.steps or 0) or (one.tolerance or 0.0) > (other.tolerance or 0.0)
-    )
 
 
 def _warned(case: Case, found: Integrated, error: float, wanted: float | None) -> tuple[float, tuple[str, ...]]:

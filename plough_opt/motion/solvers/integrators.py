@@ -137,12 +137,11 @@ def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> Si
         solver = ca.integrator(name, accuracy.method, scaled, 0.0, times.tolist(), options)
     p, known = equation.symbols(ca.MX)
     sizes = ca.MX.sym("sizes", 2 + equation.averages)
-    unit = _units(equation.structure, sizes)
+    unit, of_means, of_spreads = _units(equation, sizes)
     first = equation.start(p[:-1])
     given = stacked(first / unit, ca.MX.zeros(equation.squared)), stacked(p, sizes)
     result = solver(x0=given[0], p=given[1])
     states = result["xf"][: equation.states, read] * ca.repmat(unit, 1, timeline.outputs)
-    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + equation.count, sizes.numel()])
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, equation.squared, equation.count])
     means = stacked(result["xf"][equation.states :, -1], others) * of_means
     found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
@@ -170,10 +169,14 @@ def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
     return stacked(deflection, rate, *squared, *others, *squared)
 
 
-def _units(structure: Structure, sizes: Any) -> Any:
-    """Return the units of the states: deflection, its rate, opening of a gap; 1 for the mode and other flags."""
-    modes = (sizes[0], 1.0) if structure.events else ()
-    return stacked(sizes[0], sizes[1], *modes, *(1.0,) * len(structure.ending))
+def _units(equation: Equation, sizes: Any) -> tuple[Any, Any, Any]:
+    """Return the units of the states, of the signals and of their RMS.
+
+    Those of the states are of deflection, its rate and the opening of a gap; 1 for the mode and other flags.
+    """
+    modes = (sizes[0], 1.0) if equation.structure.events else ()
+    of_states = stacked(sizes[0], sizes[1], *modes, *(1.0,) * len(equation.structure.ending))
+    return of_states, *ca.vertsplit(sizes, [0, 2, 2 + equation.count, sizes.numel()])[1:]
 
 
 def _scaled_equation(equation: Equation) -> tuple[dict[str, ca.SX], ca.Function | None]:
@@ -188,8 +191,7 @@ def _scaled_equation(equation: Equation) -> tuple[dict[str, ca.SX], ca.Function 
     x = ca.SX.sym("x", count + equation.squared)
     p, _ = equation.symbols(ca.SX)
     sizes = ca.SX.sym("sizes", 2 + equation.averages)
-    unit = _units(equation.structure, sizes)
-    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + equation.count, sizes.numel()])
+    unit, of_means, of_spreads = _units(equation, sizes)
     duration = p[-1]
     time, state = fraction * duration, x[:count] * unit
     rate, values = equation.rate(time, state, p[:-1]), equation.signals(time, state, p[:-1]) / of_means

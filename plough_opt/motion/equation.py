@@ -294,6 +294,31 @@ class Structure:
             speed, soil = by_mode(mode, speed, 0.0, speed), by_mode(mode, soil, force, 0.0)
         return force, soil, deflection, speed, travel, opening, mode
 
+    def sizes(self, p: dict[str, Any], duration: Any) -> Column:
+        """Return the sizes to expect in a run, to which tolerances can be relative.
+
+        Args:
+            p: symbols of the parameters that have an influence, by name.
+            duration: simulated time [s], a symbol.
+
+        Returns:
+            A column of the sizes of w [m] and w' [m/s], of each of the signals, and of the RMS of those that have one.
+        """
+        complete = dict.fromkeys(self.names, 0.0) | p
+        speed, stiffness = complete["tow_speed"], ca.fabs(p["stiffness"])  # a repelling spring has a negative one
+        hardness = ca.sqrt(stiffness * lightest_mass(p))
+        force = self.start_resistance(complete) + speed * hardness + _LEAST_FORCE
+        if self.relaxed and self.sticks:
+            # The resistance may be far greater than the force that the relaxed spring reaches.
+            force = ca.fmin(force, speed * (stiffness * duration + hardness) + _LEAST_FORCE)
+        deflection, rate = force / stiffness, force / hardness
+        squared, others = [deflection], []
+        if self.damper:
+            squared.append(force + self.pull(p, 0.0, rate))
+        if self.accelerates:
+            others.append(force * (speed + rate))
+        return stacked(deflection, rate, *squared, *others, *squared)
+
     def averages(self, p: Parameters, means: Column, variances: Column) -> tuple[Expression, ...]:
         """Return the averages of a run.
 
@@ -347,6 +372,9 @@ def lightest_mass(p: Parameters) -> Any:
 SLIP: Final = 0.0
 STICK: Final = 1.0
 GAP: Final = 2.0
+
+# A negligible force [N], which keeps the sizes of a scene without forces above zero.
+_LEAST_FORCE = 1e-9
 
 # A speed below this fraction of the tow speed is rounding of the difference between strut's and spring's speed.
 _STANDSTILL = 1e-12

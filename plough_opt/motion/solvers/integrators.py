@@ -19,7 +19,7 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
 from plough_opt.core.process import without_notices
 from plough_opt.motion.effects import StickSlip
-from plough_opt.motion.equation import Equation, Structure, equation_of, lightest_mass
+from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.methods import METHODS, Accuracy
 from plough_opt.motion.run import ARRAYS, Averages, Run, assemble
 from plough_opt.motion.scene import Scene
@@ -35,8 +35,6 @@ from plough_opt.motion.solvers.orbit import orbit_map, without_orbit
 from plough_opt.motion.solvers.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, rates_of, timeline_of
 from plough_opt.motion.solvers.steps import Array, Timeline, run_map
 
-# A negligible force [N], which keeps the sizes of a scene without forces above zero.
-_LEAST_FORCE = 1e-9
 _MOST_EVENTS = 1_000_000
 # CasADi quotes this name in its error if a forward derivative of a forward derivative, which it lacks, is requested.
 _NAME_WITH_EVENTS = "motion_with_events_whose_second_derivatives_are_those_of_a_gradient_as_by_casadi_hessian"
@@ -146,27 +144,8 @@ def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> Si
     means = stacked(result["xf"][equation.states :, -1], others) * of_means
     found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
     function = ca.Function(f"sized_{accuracy.method}", [p, sizes], found, {"never_inline": True})
-    expected = ca.Function("expected", [p], [_expected(equation.structure, known, p[-1])])
+    expected = ca.Function("expected", [p], [equation.structure.sizes(known, p[-1])])
     return Sized(function, expected, solver, ca.Function("given", [p, sizes], given))
-
-
-def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
-    """Return the sizes to expect in a `Sized` run. In units of them one absolute tolerance suits every state."""
-    # Parameters without influence on the motion count as zero.
-    complete = dict.fromkeys(structure.names, 0.0) | p
-    stiffness = ca.fabs(p["stiffness"])  # negative for a repelling spring
-    hardness = ca.sqrt(stiffness * lightest_mass(p))
-    force = structure.start_resistance(complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
-    if structure.relaxed and structure.sticks:
-        # The resistance may be far greater than the force that the relaxed spring reaches.
-        force = ca.fmin(force, complete["tow_speed"] * (stiffness * duration + hardness) + _LEAST_FORCE)
-    deflection, rate = force / stiffness, force / hardness
-    squared, others = [deflection], []
-    if structure.damper:
-        squared.append(force + structure.pull(p, 0.0, rate))
-    if structure.accelerates:
-        others.append(force * (p["tow_speed"] + rate))
-    return stacked(deflection, rate, *squared, *others, *squared)
 
 
 def _units(equation: Equation, sizes: Any) -> tuple[Any, Any, Any]:

@@ -153,10 +153,9 @@ class Scene:
         Raises:
             DomainError: as `check_reaction`.
         """
-        if self.soil.density_profile is None:
-            check_strength(self.effects.waves)
-        else:
-            self.check_reaction()
+        check_strength(self.effects.waves)
+        if self.soil.density_profile is not None:
+            self._reaction_at(self._at)
 
     @property
     def _under_pressure(self) -> ShareInSoil:

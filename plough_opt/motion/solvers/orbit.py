@@ -147,11 +147,10 @@ def _shooting(equation: Equation, timeline: Timeline) -> ca.Function:
     """Return the Function of the orbit whose state returns to itself after one period of steps."""
     p, x = ca.MX.sym("p", len(equation.names) + 1), ca.MX.sym("x", 2)
     guess, unit = near_orbit(equation)(p)
-    once = run_from(equation, Timeline(1, timeline.steps))
+    once, whole = (run_from(equation, each) for each in (Timeline(1, timeline.steps), timeline))
     miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
     first = _root(x, p, miss, guess / unit) * unit
-    results = run_from(equation, timeline)(first, p)
-    return ca.Function("orbit", [p], list(results), {"never_inline": True})
+    return ca.Function("orbit", [p], list(whole(first, p)), {"never_inline": True})
 
 
 # Change of a state, in units of `near_orbit`, by which the map of a period is differentiated. Curvature leaves

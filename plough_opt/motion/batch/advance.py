@@ -352,11 +352,8 @@ def _tilt(series: Series, powers: list[ca.SX]) -> ca.SX:
 
 def _weighted(series: Series, powers: list[ca.SX], weights: list[float]) -> ca.SX:
     """Return the sum of a series' terms at the end of the step, each times its weight."""
-    total = ca.SX(0)
-    for c, power, weight in zip(series.coefficients, powers, weights, strict=False):
-        if weight != 0.0 and not c.is_zero():
-            total = total + weight * (c * power)
-    return total
+    terms = zip(series.coefficients, powers, weights, strict=False)
+    return sum((weight * (c * power) for c, power, weight in terms if weight != 0.0 and not c.is_zero()), ca.SX(0))
 
 
 def _cosh_and_sinh(x: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -494,9 +491,7 @@ def _last_terms(start: StepStart, series: list[ca.SX], highest: int) -> ca.SX:
     Each of these is carried to the highest order as that of an oscillation at the frequencies of mount and wave.
     """
     rate = start.layout.fastest_frequency(start.p) / _FALL
-    total = ca.SX(0)
-    for k in range(_LAST_COEFFICIENTS):
-        total = total + ca.fabs(series[highest - k]) * rate**k
+    total = sum((ca.fabs(series[highest - k]) * rate**k for k in range(_LAST_COEFFICIENTS)), ca.SX(0))
     unknown = start.layout.structure.own or start.layout.structure.smooth
     return _WEIGHT * (_UNKNOWN_RATES if unknown else 1.0) * total
 
@@ -614,14 +609,14 @@ def _legendre(terms: list[ca.SX], highest: int) -> list[ca.SX]:
     The coefficient of degree l of u^k is (2l + 1) k!^2 / ((k - l)! (k + l + 1)!).
     """
     factorial = math.factorial
-    coefficients = []
-    for degree in range(highest + 1):
-        total = ca.SX(0)
-        for k, c in enumerate(terms[degree:], start=degree):
-            weight = (2 * degree + 1) * factorial(k) ** 2 / (factorial(k - degree) * factorial(k + degree + 1))
-            total = total + weight * c
-        coefficients.append(total)
-    return coefficients
+
+    def weight(degree: int, k: int) -> float:
+        return (2 * degree + 1) * factorial(k) ** 2 / (factorial(k - degree) * factorial(k + degree + 1))
+
+    return [
+        sum((weight(degree, k) * c for k, c in enumerate(terms[degree:], start=degree)), ca.SX(0))
+        for degree in range(highest + 1)
+    ]
 
 
 def _powers(x: ca.SX, highest: int) -> list[ca.SX]:

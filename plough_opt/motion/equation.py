@@ -243,10 +243,7 @@ class Structure:
 
     def pull(self, p: Parameters, deflection: Expression, rate: Expression) -> Expression:
         """Return the mount force [N] at a deflection [m] and its rate [m/s], or its change for changes of both."""
-        force = p["stiffness"] * deflection
-        for term in self.terms:
-            force = force + term.pull(p, rate)
-        return force
+        return sum((term.pull(p, rate) for term in self.terms), p["stiffness"] * deflection)
 
     def inertia_at(self, p: Parameters, travel: Expression) -> Expression:
         """Return the moving mass [kg] at a travel L [m]: the share and the soil that it carries along."""

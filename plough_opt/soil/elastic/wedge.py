@@ -315,20 +315,17 @@ def _shift(
     m, kappa, alpha, eta, slowing = soil.m, soil.kappa, soil.alpha, soil.eta, soil.slowing
     product, change = alpha * eta * y**2, length * (x0 + x1)
 
-    def turn(x: Expression) -> Expression:
-        """Return the difference of the angles of x + i alpha y and x + i eta y, divided by m."""
-        return angle_difference(slowing * y * x, x**2 + product + _TINY, m)
+    def angle(x: Expression) -> Expression:
+        """Return that of -x + i alpha y, and twice the difference of those of x + i alpha y and x + i eta y over m."""
+        return arctan2(alpha * y, -x) + 2.0 * angle_difference(slowing * y * x, x**2 + product + _TINY, m)
 
     fast0, fast1, slow0, slow1 = (x**2 + (k * y) ** 2 + _TINY for k in (alpha, eta) for x in (x0, x1))
     log_fast = log_difference(fast0, fast1, change)
     log_change = log_difference(fast0 * slow1, slow0 * fast1, -(1.0 - kappa) * y**2 * change, m)
-    near_by = x0 * (arctan2(alpha * y, -x0) + 2.0 * turn(x0)) - x1 * (arctan2(alpha * y, -x1) + 2.0 * turn(x1))
+    near_by = x0 * angle(x0) - x1 * angle(x1)
     near_by = near_by + y * ((slowing - alpha / 2.0) * log_fast + eta * log_change)
-
-    from_far: Expression = 0.0
-    for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
-        x = x0 - node * length
-        from_far = from_far + weight * length * (arctan2(alpha * y, -x) + 2.0 * turn(x))
+    nodes = zip(*gauss_legendre(FAR_NODES), strict=True)
+    from_far = sum(weight * length * angle(x0 - node * length) for node, weight in nodes)
     far = sqrt(slow0) + sqrt(slow1) > FAR * length
     return (where(far, from_far, near_by),)
 
@@ -380,12 +377,12 @@ def _ends(symbolic: bool) -> Pair:
     return column(cells[:-1], symbolic), column(cells[1:], symbolic)
 
 
-def _over(half: _Half, first: Expression, last: Expression, integrand: Field) -> Expression:
-    """Return the integral along the face over parts of the cells, from first to last in tau."""
+def _over(half: _Half, first: Expression, last: Expression, pressure: Field, weight: Field) -> Expression:
+    """Return int p w dx along the face over parts of the cells, from first to last in tau."""
     value: Expression = 0.0
-    for node, weight in zip(*gauss_legendre(_ORDER), strict=True):
+    for node, share in zip(*gauss_legendre(_ORDER), strict=True):
         tau = first + (last - first) * node
-        value = value + weight * (last - first) * half.distance(tau) * integrand(half, tau)
+        value = value + share * (last - first) * half.distance(tau) * (pressure(half, tau) * weight(half, tau))
     return total(value)
 
 
@@ -400,7 +397,7 @@ def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Express
             turn = _root(along, (begin, end), (at_begin, at_end))
             turn = where((at_begin < 0.0) != (at_end < 0.0), turn, end)
             lost_from, lost_to = where(at_begin < 0.0, begin, turn), where(at_begin < 0.0, turn, end)
-            total = total - _over(half, lost_from, lost_to, lambda part, tau: pressure(part, tau) * weight(part, tau))
+            total = total - _over(half, lost_from, lost_to, pressure, weight)
     return total
 
 
@@ -555,9 +552,7 @@ def cone_force(
     def weight(half: _Half, tau: Expression) -> Expression:
         return 2.0 * math.pi * (half.segment.slope + soil.tool_friction) * half.height(tau)
 
-    force: Expression = 0.0
-    for half in _halves(face):
-        force = force + _over(half, *_ends(symbolic), lambda part, tau: pressure(part, tau) * weight(part, tau))
+    force: Expression = sum(_over(half, *_ends(symbolic), pressure, weight) for half in _halves(face))
     if separation:
         force = force + _lost(face, absolute_pressure, weight, symbolic)
     return force

@@ -206,12 +206,10 @@ def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
         return {"number_of_finite_elements": timeline.steps, **_QUIET}
     tolerance = accuracy.tolerance
     assert tolerance is not None  # `with_setting` or `automatic` has given it one
-    options: dict[str, Any] = {**_QUIET, "reltol": tolerance, "abstol": 0.01 * tolerance}
-    options["max_num_steps"] = timeline.steps
-    if accuracy.method in ("cvodes", "idas"):
-        # Without quadratures in the error control, sensitivities by these two methods can be silently wrong.
-        options["quad_err_con"] = True
-    return options
+    # Without quadratures in the error control, sensitivities by these two methods can be silently wrong.
+    quadratures = {"quad_err_con": True} if accuracy.method in ("cvodes", "idas") else {}
+    tolerances = {"reltol": tolerance, "abstol": 0.01 * tolerance}
+    return {**_QUIET, **tolerances, "max_num_steps": timeline.steps, **quadratures}
 
 
 @dataclass(frozen=True)

@@ -224,6 +224,11 @@ def total(values: Column) -> Expression:
     return _sum(values) if is_casadi(values) else float(np.sum(values))
 
 
+def dot(weights: Column, values: Column) -> Expression:
+    """Return the sum of values times their weights."""
+    return ca.dot(weights, values) if is_casadi(values) else float(weights @ values)
+
+
 def one_node(function: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
     """Decorate a function of scalars so that an MX graph holds it as one node instead of all its operations.
 

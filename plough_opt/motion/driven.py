@@ -274,7 +274,7 @@ def driven_equation(
     """
     # A quantity that is 0 in the numeric scene, such as a phase, still has its term.
     structure, count = Structure.of(symbolic), len(controls)
-    p = parameters(symbolic, structure)
+    p = parameters(symbolic)
     if "tow_speed" in controls:
         p["tow_speed"] = symbols["scene.tow_speed"]
     share = DrivenShare(scene, structure, p)

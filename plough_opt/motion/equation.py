@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import unlabelled
-from plough_opt.core.expressions import Column, Expression, is_casadi, kept, stacked, where
+from plough_opt.core.expressions import Column, Expression, is_casadi, kept, rms, stacked, where
 from plough_opt.motion.effects import (
     TERMS,
     Damping,
@@ -47,7 +47,6 @@ from plough_opt.motion.effects.terms import (
     Term,
     Towed,
     TowRamp,
-    resisted,
 )
 
 _Kind = TypeVar("_Kind", bound=Term)
@@ -58,6 +57,10 @@ _COMMON = ("inertia", "stiffness", "static", "tow_speed", "mass", "added_mass")
 
 def _has(kind: type[Term]) -> cached_property[bool]:
     return cached_property(lambda structure: structure.find(kind) is not None)
+
+
+def _term(kind: type[_Kind]) -> cached_property[_Kind | None]:
+    return cached_property(lambda structure: structure.find(kind))
 
 
 @dataclass(frozen=True)
@@ -85,11 +88,19 @@ class Structure:
     # Whether an effect is on.
     ramp, damper, entry = _has(TowRamp), _has(Damping), _has(Entry)
     smooth, sticks = _has(SmoothContact), _has(StickSlipContact)
+    # Strength waves along the path, and the profile of the strut's speed; None if they are off.
+    wave, profile = _term(StrengthWaves), _term(TowProfile)
 
-    @classmethod
-    def of(cls, scene: Towed) -> Structure:
+    @staticmethod
+    @kept
+    def of(scene: Towed) -> Structure:
         """Return the structure of a scene."""
-        return _structure(scene)
+        effects, orbit = scene.effects, scene.effects.orbit
+        terms = tuple(term for kind in TERMS for term in kind.of(scene))
+        carries = effects.added_mass and effects.events
+        if isinstance(orbit, HarmonicBalance):
+            return Structure(terms, effects.start, carries, "harmonic_balance", orbit.harmonics)
+        return Structure(terms, effects.start, carries, orbit)
 
     def find(self, kind: type[_Kind]) -> _Kind | None:
         """Return the term of a class, or None if that effect is off."""
@@ -100,16 +111,6 @@ class Structure:
         """Names of all parameters that the terms may need, in order."""
         by_step = ("ramped",) if self.ramp_by_step else ()
         return (*_COMMON, *(name for term in self.terms for name in term.names), *by_step)
-
-    @cached_property
-    def wave(self) -> StrengthWaves | None:
-        """Strength waves along the path, or None."""
-        return self.find(StrengthWaves)
-
-    @cached_property
-    def profile(self) -> TowProfile | None:
-        """Profile of the strut's speed, or None."""
-        return self.find(TowProfile)
 
     @property
     def accelerates(self) -> bool:
@@ -171,9 +172,13 @@ class Structure:
             return self.profile.start_speed(p)
         return 0.0 if self.ramp else p["tow_speed"]
 
+    def steady_resistance(self, p: Parameters, speed: Expression) -> Expression:
+        """Return the resistance [N] to a buried share that slides at a speed [m/s], without strength waves."""
+        return self._resist(p, p["static"], Place(None, speed))
+
     def start_resistance(self, p: Parameters) -> Expression:
-        """Return the steady resistance to a buried share at the strut's initial speed [N], without strength waves."""
-        return self._resist(p, p["static"], Place(None, self.start_speed(p)))
+        """Return the steady resistance at the strut's initial speed [N]."""
+        return self.steady_resistance(p, self.start_speed(p))
 
     def start_force(self, p: Parameters) -> Expression:
         """Return the spring's force at the start [N]: the steady resistance, or 0 for a relaxed spring."""
@@ -206,14 +211,16 @@ class Structure:
             gain: L' - s'(0), the share's speed relative to the strut's initial speed [m/s].
         """
         at = Place(travel, Changed(self.start_speed(p), gain))
-        found: Any = self._resist(p, Changed(p["static"], 0.0), at)
+        static: Any = Changed(p["static"], 0.0)
+        found: Any = self._resist(p, static, at)
         change: Expression = found.change
         return change
 
-    def _resist(self, p: Parameters, force: Any, at: Place) -> Expression:
+    def _resist(self, p: Parameters, force: Expression, at: Place) -> Expression:
         """Return the resistance that the terms, one after another, make of the static force [N]."""
-        found: Expression = resisted(self.terms, force, at, p)
-        return found
+        for term in self.terms:
+            force = term.resist(force, at, p)
+        return force
 
     def start_state(self, p: Parameters) -> Column:
         """Return the state at time 0 as a column."""
@@ -236,10 +243,7 @@ class Structure:
 
     def pull(self, p: Parameters, deflection: Expression, rate: Expression) -> Expression:
         """Return the mount force [N] at a deflection [m] and its rate [m/s], or its change for changes of both."""
-        force = p["stiffness"] * deflection
-        for term in self.terms:
-            force = force + term.pull(p, rate)
-        return force
+        return sum((term.pull(p, rate) for term in self.terms), p["stiffness"] * deflection)
 
     def inertia_at(self, p: Parameters, travel: Expression) -> Expression:
         """Return the moving mass [kg] at a travel L [m]: the share and the soil that it carries along."""
@@ -252,20 +256,95 @@ class Structure:
         entry = self.find(Entry)
         return p["added_mass"] if entry is None else p["added_mass"] * entry.buried(p, travel) ** 3
 
+    def outputs(self, p: Parameters, time: Column, state: Sequence[Column]) -> tuple[Column, ...]:
+        """Return what a run reports at its output times.
 
-@kept
-def _structure(scene: Towed) -> Structure:
-    effects, orbit = scene.effects, scene.effects.orbit
-    terms = tuple(term for kind in TERMS for term in kind.of(scene))
-    carries = effects.added_mass and effects.events
-    if isinstance(orbit, HarmonicBalance):
-        return Structure(terms, effects.start, carries, "harmonic_balance", orbit.harmonics)
-    return Structure(terms, effects.start, carries, orbit)
+        Args:
+            p: parameters by name, with "added_mass".
+            time: output times [s].
+            state: a column of these times for each state of `Equation`.
+
+        Returns:
+            Mount force [N], soil resistance with the inertia of the soil carried along [N], deflection [m], speed [m/s]
+            and travel [m] of the share, opening [m], and mode.
+        """
+        if self.entry:
+            p = {**p, "behind": state[2], "entered": state[4]}
+        w, rate = state[:2]
+        mount, initial_speed = self.strut(p, time), self.start_speed(p)
+        gain = mount.gain - rate
+        first = self.start_force(p)
+        ahead, faster = self.lead(p, time)
+        behind = first / p["stiffness"] + w
+        deflection, travel = behind + ahead, mount.path - behind
+        force = first + self.pull(p, w + ahead, rate + faster)
+        soil = self.resistance(p, travel, initial_speed + gain)
+        acceleration = (force - soil) / self.inertia_at(p, travel)
+        soil = soil + (self.carried_mass(p, travel) if self.events else p["added_mass"]) * acceleration
+        speed, opening = initial_speed + gain, 0.0 * w + 0.0
+        mode = opening
+        if self.sticks:
+            opening, mode = state[2:4]
+            if not is_casadi(mode):
+                # An implicit method solves for the mode too, which leaves rounding errors in it.
+                mode = np.round(mode)
+            speed, soil = by_mode(mode, speed, 0.0, speed), by_mode(mode, soil, force, 0.0)
+        return force, soil, deflection, speed, travel, opening, mode
+
+    def sizes(self, p: dict[str, Any], duration: Any) -> Column:
+        """Return the sizes to expect in a run, to which tolerances can be relative.
+
+        Args:
+            p: symbols of the parameters that have an influence, by name.
+            duration: simulated time [s], a symbol.
+
+        Returns:
+            A column of the sizes of w [m] and w' [m/s], of each of the signals, and of the RMS of those that have one.
+        """
+        complete = dict.fromkeys(self.names, 0.0) | p
+        speed, stiffness = complete["tow_speed"], ca.fabs(p["stiffness"])  # a repelling spring has a negative one
+        hardness = ca.sqrt(stiffness * lightest_mass(p))
+        force = self.start_resistance(complete) + speed * hardness + _LEAST_FORCE
+        if self.relaxed and self.sticks:
+            # The resistance may be far greater than the force that the relaxed spring reaches.
+            force = ca.fmin(force, speed * (stiffness * duration + hardness) + _LEAST_FORCE)
+        deflection, rate = force / stiffness, force / hardness
+        squared, others = [deflection], []
+        if self.damper:
+            squared.append(force + self.pull(p, 0.0, rate))
+        if self.accelerates:
+            others.append(force * (speed + rate))
+        return stacked(deflection, rate, *squared, *others, *squared)
+
+    def averages(self, p: Parameters, means: Column, variances: Column) -> tuple[Expression, ...]:
+        """Return the averages of a run.
+
+        Args:
+            p: parameters by name.
+            means: means of the signals of `Equation`.
+            variances: mean squares about the mean of those signals that have an RMS.
+
+        Returns:
+            Mean and RMS of the mount force [N], mean and RMS of the deflection [m], tow power [W].
+        """
+        first, spring = self.start_force(p), p["stiffness"]
+        stiffness = abs(spring)  # a repelling spring has a negative one
+        # Only an expression is smoothed, on the scale of the steady resistance.
+        scale = self.steady_resistance(p, p["tow_speed"]) if is_casadi(variances) else 0.0
+        displacement_rms = rms(variances[0], scale / stiffness)
+        if self.damper:
+            mean_draft = first + self.pull(p, 0.0, self.start_rate(p)) + means[1]
+            force_rms = rms(variances[1], scale)
+        else:
+            mean_draft = first + spring * means[0]
+            force_rms = stiffness * displacement_rms
+        tow_power = means[-1] if self.accelerates else mean_draft * p["tow_speed"]
+        return mean_draft, force_rms, first / spring + means[0], displacement_rms, tow_power
 
 
-def parameters(scene: Towed, structure: Structure | None = None) -> dict[str, Expression]:
+def parameters(scene: Towed) -> dict[str, Expression]:
     """Return the parameters that the equation of motion may need, by name, in SI units."""
-    structure = structure or Structure.of(scene)
+    structure = Structure.of(scene)
     with unlabelled():  # a design checks a run together with its scene
         inertia, reaction = scene.inertia, scene.reaction
         values = {
@@ -290,6 +369,9 @@ def lightest_mass(p: Parameters) -> Any:
 SLIP: Final = 0.0
 STICK: Final = 1.0
 GAP: Final = 2.0
+
+# A negligible force [N], which keeps the sizes of a scene without forces above zero.
+_LEAST_FORCE = 1e-9
 
 # A speed below this fraction of the tow speed is rounding of the difference between strut's and spring's speed.
 _STANDSTILL = 1e-12
@@ -333,11 +415,11 @@ class Equation:
 
     @cached_property
     def outputs(self) -> tuple[tuple[str, ...], ca.Function]:
-        """Names of parameters, and (column of time and state, those parameters) -> the first five of `outputs`."""
+        """Names of parameters, and (column of time and state, the latter) -> the first five of `Structure.outputs`."""
         symbols = {name: ca.SX.sym(name) for name in self.structure.names}
         given = ca.SX.sym("given", 1 + self.states)
         time, *state = ca.vertsplit(given)
-        found = ca.vertcat(*outputs(self.structure, symbols, time, state)[:5])
+        found = ca.vertcat(*self.structure.outputs(symbols, time, state)[:5])
         used = {symbol.name() for symbol in ca.symvar(found)}
         names = tuple(name for name in self.structure.names if name in used)
         return names, ca.Function("outputs", [given, stacked(*(symbols[name] for name in names))], [ca.cse(found)])
@@ -480,40 +562,3 @@ def equation_of(structure: Structure) -> Equation:
         count=len(values),
         squared=2 if structure.damper else 1,
     )
-
-
-def outputs(structure: Structure, p: Parameters, time: Column, state: Sequence[Column]) -> tuple[Column, ...]:
-    """Return what a run reports at its output times.
-
-    Args:
-        structure: the terms that are on.
-        p: parameters by name, with "added_mass".
-        time: output times [s].
-        state: a column of these times for each state of `Equation`.
-
-    Returns:
-        Mount force [N], soil resistance with the inertia of the soil carried along [N], deflection [m], speed [m/s] and
-        travel [m] of the share, opening [m], and mode.
-    """
-    if structure.entry:
-        p = {**p, "behind": state[2], "entered": state[4]}
-    w, rate = state[:2]
-    mount, initial_speed = structure.strut(p, time), structure.start_speed(p)
-    gain = mount.gain - rate
-    first = structure.start_force(p)
-    ahead, faster = structure.lead(p, time)
-    behind = first / p["stiffness"] + w
-    deflection, travel = behind + ahead, mount.path - behind
-    force = first + structure.pull(p, w + ahead, rate + faster)
-    soil = structure.resistance(p, travel, initial_speed + gain)
-    acceleration = (force - soil) / structure.inertia_at(p, travel)
-    soil = soil + (structure.carried_mass(p, travel) if structure.events else p["added_mass"]) * acceleration
-    speed, opening = initial_speed + gain, 0.0 * w + 0.0
-    mode = opening
-    if structure.sticks:
-        opening, mode = state[2:4]
-        if not is_casadi(mode):
-            # An implicit method solves for the mode too, which leaves rounding errors in it.
-            mode = np.round(mode)
-        speed, soil = by_mode(mode, speed, 0.0, speed), by_mode(mode, soil, force, 0.0)
-    return force, soil, deflection, speed, travel, opening, mode

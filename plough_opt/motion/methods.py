@@ -147,12 +147,6 @@ def locating() -> tuple[str, ...]:
     return tuple(name for name, method in METHODS.items() if method.locates_events)
 
 
-def tableau_of(name: str) -> Tableau | None:
-    """Return the tableau by which a method turns a symbolic scene into a loop over steps; None for other methods."""
-    method = DOP853 if name == "auto" else METHODS[name]
-    return method if isinstance(method, Tableau) else None
-
-
 DEFAULT_ERROR = 1e-8
 DEFAULT_DERIVATIVES = 1e-6
 DEFAULT_TOLERANCE = 1e-10
@@ -220,6 +214,12 @@ class Accuracy:
     def order_8(self) -> bool:
         """Whether a symbolic scene becomes a loop over steps of order 8."""
         return self.method in ORDER_8
+
+    @property
+    def tableau(self) -> Tableau | None:
+        """Tableau by which a symbolic scene becomes a loop over steps; None for other methods."""
+        method = DOP853 if self.order_8 else METHODS[self.method]
+        return method if isinstance(method, Tableau) else None
 
     @property
     def wanted_derivatives(self) -> float:

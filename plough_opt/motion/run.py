@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_domain, check_kind, mapping_of, shown, unlabelled
+from plough_opt.core.checks import check_domain, check_kind, mapping_of, shown
 from plough_opt.core.errors import InputError, merge
-from plough_opt.core.expressions import Column, Expression, column, is_casadi, rms
+from plough_opt.core.expressions import Column, Expression, column, is_casadi
 from plough_opt.core.files import drawn, from_above
 from plough_opt.core.plain_data import Complex, MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.motion.effects.terms import Parameters
-from plough_opt.motion.equation import Structure, outputs, parameters
+from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene, quantities_of
 
@@ -489,30 +489,9 @@ def assemble(
     structure, p = Structure.of(scene), p or parameters(scene)
     time = column(fractions, is_casadi(states)) * duration
     state = [states[:, k] for k in range(states.shape[1])]
-    force, soil, deflection, speed, travel, opening, mode = outputs(structure, p, time, state)
-    averages = averages_of(scene, structure, p, structure.start_force(p), means, variances)
+    force, soil, deflection, speed, travel, opening, mode = structure.outputs(p, time, state)
+    averages = Averages(*structure.averages(p, means, variances))
     return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
-
-
-def averages_of(
-    scene: Scene, structure: Structure, p: Parameters, first: Expression, means: Column, variances: Column
-) -> Averages:
-    """Return the averages of a run from its first force [N] and those of its changes since then: see `assemble`."""
-    stiffness = p["stiffness"]
-    scale: Expression = 0.0
-    if is_casadi(variances):  # only an expression is smoothed, on this scale
-        with unlabelled():
-            scale = scene.steady_resistance
-    displacement_rms = rms(variances[0], scale / scene.stiffness)
-    if structure.damper:
-        mean_draft = first + structure.pull(p, 0.0, structure.start_rate(p)) + means[1]
-        force_rms = rms(variances[1], scale)
-    else:
-        mean_draft = first + stiffness * means[0]
-        force_rms = scene.stiffness * displacement_rms
-    mean_deflection = first / stiffness + means[0]
-    tow_power = means[-1] if structure.accelerates else mean_draft * p["tow_speed"]
-    return Averages(mean_draft, force_rms, mean_deflection, displacement_rms, tow_power)
 
 
 def without_repetition(sentences: Sequence[str]) -> list[str]:

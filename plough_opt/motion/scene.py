@@ -11,14 +11,15 @@ from typing import Annotated, Any, TypeVar
 
 from plough_opt.core.checks import check_domain, check_kind, checked_in_designs, limited_in_designs, unlabelled
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
+from plough_opt.core.expressions import Expression, as_number, is_symbolic, kept, rms, sqrt
 from plough_opt.core.plain_data import ByName
 from plough_opt.core.quantities import BESIDE, QUANTITIES, read_fields
 from plough_opt.laws import law_of
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
 from plough_opt.motion.driven import MotionEquation, driven_equation, symbols_of
-from plough_opt.motion.effects import TERMS, Effects, Place, Smooth, resisted
+from plough_opt.motion.effects import Effects, Smooth
+from plough_opt.motion.equation import Structure, parameters
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.soil import Soil
 from plough_opt.soil.strength import PASS, Sliding, Stationary, check_strength, rare_peak, stationary_response
@@ -115,12 +116,9 @@ class Scene:
 
     @property
     @_checked_in_designs
+    @kept
     def reaction(self) -> SoilReaction:
         """F0 [N], Fd [N s^2/m^2] and added mass [kg]; Fd and the added mass are zero if their effect is off."""
-        return self._reaction
-
-    @cached_property
-    def _reaction(self) -> SoilReaction:
         full = self._reaction_at(self._at)
         drag = full.drag if self.effects.inertial_drag else 0.0
         return SoilReaction(full.static, drag, full.added_mass if self.effects.added_mass else 0.0)
@@ -155,10 +153,9 @@ class Scene:
         Raises:
             DomainError: as `check_reaction`.
         """
-        if self.soil.density_profile is None:
-            check_strength(self.effects.waves)
-        else:
-            self.check_reaction()
+        check_strength(self.effects.waves)
+        if self.soil.density_profile is not None:
+            self._reaction_at(self._at)
 
     @property
     def _under_pressure(self) -> ShareInSoil:
@@ -204,8 +201,7 @@ class Scene:
         Raises:
             InputError: the law of resistance does not give it.
         """
-        with unlabelled():
-            return self.law.loosened_radius(self._under_pressure)
+        return self.law.loosened_radius(self._under_pressure)
 
     @property
     @_checked_in_designs
@@ -220,18 +216,10 @@ class Scene:
 
     @property
     @_checked_in_designs
+    @kept
     def steady_resistance(self) -> Expression:
         """Resistance [N] by all effects of a share that slides at the tow speed, without the strength wave."""
-        return self._steady_resistance
-
-    @cached_property
-    def _steady_resistance(self) -> Expression:
-        terms = [term for kind in TERMS for term in kind.of(self)]
-        p: dict[str, Expression] = {"static": self.reaction.static}
-        for term in terms:
-            p |= term.values(self)
-        force: Expression = resisted(terms, p["static"], Place(None, self.tow_speed), p)
-        return force
+        return Structure.of(self).steady_resistance(parameters(self), self.tow_speed)
 
     @property
     @_checked_stationary
@@ -287,8 +275,7 @@ class Scene:
         """Linearised response about steady sliding."""
         self.check_stationary()
         effects, speed = self.effects, self.tow_speed
-        with unlabelled():
-            static, drag, inertia = self.reaction.static, self.reaction.drag, self.inertia
+        static, drag, inertia = self.reaction.static, self.reaction.drag, self.inertia
         linear, rate = (0.0 if term is None else term for term in (effects.speed_term, effects.rate_term))
         by_speed, by_square = 1.0 + linear * speed, 1.0 + rate * speed**2
         force = static * by_speed * by_square

@@ -4,13 +4,12 @@ import logging
 import math
 import time
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_kind, check_single, check_switch, shown, unlabelled
+from plough_opt.core.checks import check_kind, check_single, check_switch, shown
 from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import (
@@ -18,6 +17,7 @@ from plough_opt.core.expressions import (
     Expression,
     as_number,
     column,
+    dot,
     holds_casadi,
     is_casadi,
     is_count,
@@ -26,7 +26,7 @@ from plough_opt.core.expressions import (
     map_expressions,
     rms,
 )
-from plough_opt.motion.effects import Smooth, profile_of, ramp_time
+from plough_opt.motion.effects import profile_of, ramp_time
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
@@ -36,7 +36,6 @@ from plough_opt.motion.solvers import checks, plan
 from plough_opt.motion.solvers.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
 from plough_opt.motion.solvers.compiled_steps import source_of
 from plough_opt.motion.solvers.integrators import (
-    Array,
     Case,
     Integrated,
     compared,
@@ -47,7 +46,7 @@ from plough_opt.motion.solvers.integrators import (
     thinned,
 )
 from plough_opt.motion.solvers.orbit import which_motion
-from plough_opt.motion.solvers.steps import Timeline, ends
+from plough_opt.motion.solvers.steps import Array, Timeline, ends
 from plough_opt.soil.strength import check_strength
 
 _LOG = logging.getLogger(__name__)
@@ -150,12 +149,7 @@ def simulate(
         1.0
     """
     accuracy = accuracy or _DEFAULT
-    duration = _checked_duration(scene, duration, accuracy, outputs, compiled)
-    if tow_speed is not None:
-        scene = _with_tow_speed(scene, duration, tow_speed)
-    profile, steps = scene.effects.tow_profile, accuracy.steps
-    if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * len(profile.pieces)):
-        raise InputError(f"accuracy steps = {steps} are too few for the knots of the tow speed: give {fewest} or more")
+    scene, duration = _read(scene, duration, accuracy, outputs, compiled, tow_speed)
     if is_casadi(duration) or _holds_casadi(scene):
         check_single("simulate", (scene, duration))
         p = parameters(scene)
@@ -176,10 +170,14 @@ def repeat(scene: Scene, duration: Expression, *, outputs: int = plan.OUTPUTS) -
     return simulate(scene, duration if scene.effects.orbit == "transient" else None, outputs=outputs)
 
 
-def _checked_duration(
-    scene: Scene, duration: Expression | None, accuracy: Accuracy, outputs: int, compiled: bool
-) -> Expression:
-    """Return the simulated time [s], for an orbit its period; raise InputError if `simulate` refuses its arguments."""
+def _read(
+    scene: Scene, duration: Expression | None, accuracy: Accuracy, outputs: int, compiled: bool, tow_speed: Any
+) -> tuple[Scene, Expression]:
+    """Return the scene, with the course of its tow speed if given, and the simulated time [s], for an orbit its period.
+
+    Raises:
+        InputError, DomainError: `simulate` refuses its arguments.
+    """
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
     check_kind("accuracy", accuracy, Accuracy, "an Accuracy, such as Accuracy('erk')")
     if not is_count(outputs) or outputs > plan.MOST_OUTPUTS:
@@ -196,15 +194,15 @@ def _checked_duration(
     found = duration_of(scene, duration, stacklevel=4)
     if isinstance(found, np.ndarray) and found.ndim > 0:
         raise InputError(f"the duration is an array of {found.size} values: simulate accepts one at a time")
-    return found
-
-
-def _with_tow_speed(scene: Scene, duration: Expression, tow_speed: Any) -> Scene:
-    """Return a scene whose strut has a tow speed [m/s] that varies over time."""
-    if is_symbolic(duration):
-        raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
-    largest, profile = profile_of(tow_speed, float(as_number(duration)))
-    return replace(scene, tow_speed=largest, effects=replace(scene.effects, tow_profile=profile))
+    if tow_speed is not None:
+        if is_symbolic(found):
+            raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
+        largest, course = profile_of(tow_speed, float(as_number(found)))
+        scene = replace(scene, tow_speed=largest, effects=replace(scene.effects, tow_profile=course))
+    profile, steps = scene.effects.tow_profile, accuracy.steps
+    if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * len(profile.pieces)):
+        raise InputError(f"accuracy steps = {steps} are too few for the knots of the tow speed: give {fewest} or more")
+    return scene, found
 
 
 def _symbolic(
@@ -216,25 +214,9 @@ def _symbolic(
             "a symbolic run cannot be compiled by itself: the design or component that uses it is compiled"
         )
     check_strength(scene.effects.waves)
+    accuracy, timeline = plan.of_symbols(scene, p, duration, accuracy, outputs)
     if not scene.effects.motion:
-        imposed = {name: value for name, value in p.items() if plan.is_imposed(name)}
-        panels = max(outputs, plan.OUTPUTS)
-        if not any(map(is_symbolic, (*imposed.values(), duration))):
-            rate = plan.forced_rate({name: float(as_number(value)) for name, value in imposed.items()})
-            panels = max(panels, plan.steps_for(rate * float(as_number(duration))))
-        timeline = plan.timeline_of(scene, duration, outputs, panels)
         return quasi_static(scene, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
-    if accuracy.method != "auto":
-        accuracy = plan.with_setting(accuracy, max(outputs, plan.OUTPUTS), outputs)
-    elif scene.effects.events:
-        # Events are located, but not the ends of the step of smooth contact, which need a tighter tolerance.
-        part = 1e-4 if isinstance(scene.effects.contact, Smooth) else 1e-2
-        wanted = min(accuracy.error or DEFAULT_ERROR, part * accuracy.wanted_derivatives)
-        accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, plan.TIGHTEST))
-    steps = plan.MOST_ADAPTIVE
-    if not accuracy.adaptive:
-        steps = accuracy.steps or max(plan.unknown_steps(scene, accuracy, outputs), plan.fewest_steps(p))
-    timeline = plan.timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
     solver = integration(Structure.of(scene), accuracy, timeline)
     states, means, variances = embed(solver, solver.equation.column(p, duration), scene)
     return assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy, p)
@@ -249,13 +231,12 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
     if effects.orbit != "transient":
         checks.refuse_drifting_own(case.scene)
     if accuracy.method == "auto":
-        checks.refuse_endless(case.scene, case.p, case.duration)
+        checks.refuse_endless(case.scene, case.duration)
     if effects.orbit not in ("transient", "periodic"):
         return _stand_in(case, wanted)
     if accuracy.method != "auto":
-        usual = max(plan.steps_for(case.phase), plan.fewest_steps(case.p))
-        named = plan.with_setting(accuracy, usual, case.outputs)
-        found, error = _checked(case, named, plan.check_of(named, case.p, case.duration, case.structure.kinked))
+        pair = plan.named(accuracy, case.p, case.duration, case.outputs, case.structure.kinked)
+        found, error = _checked(case, *pair)
         error, warnings = _warned(case, found, error, None)
     else:
         found, error = _automatic(case, wanted)
@@ -286,7 +267,7 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
 
 def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
     scene, duration = case.scene, case.duration
-    checks.refuse_endless(scene, case.p, duration)
+    checks.refuse_endless(scene, duration)
     timeline = plan.timeline_of(scene, duration, case.outputs, plan.steps_for(plan.rates_of(scene).forced * duration))
     with np.errstate(all="ignore"):  # values that are not finite raise an error below
         run = quasi_static(scene, duration, timeline, accuracy)
@@ -404,19 +385,21 @@ def _checked(
     case: Case, accuracy: Accuracy, check: Accuracy, last: Integrated | None = None
 ) -> tuple[Integrated, float]:
     """Return the run by one setting, and its error as estimated from a run by another, which may be the last one."""
+    is_coarser = check.method == accuracy.method and (
+        (check.steps or 0) < (accuracy.steps or 0) or (check.tolerance or 0.0) > (accuracy.tolerance or 0.0)
+    )
     if (pair := compared(case, accuracy, check)) is not None:
         found, apart = pair
-    elif accuracy.adaptive and _is_coarser(check, accuracy):
+    elif accuracy.adaptive and is_coarser:
         # The finer run relates its tolerance to the sizes that the coarser one found.
         other = integrate(case, check)
         found = integrate(case, accuracy, other.sizes)
         apart = _difference(case, found, other)
     else:
         found = integrate(case, accuracy)
-        is_check = last is not None and last.run.accuracy == check
-        other = last if last and is_check else _check_run(case, accuracy, check, found.sizes)
+        other = last if last and last.run.accuracy == check else _check_run(case, accuracy, check, found.sizes)
         apart = _difference(case, found, other)
-    error = apart * (1.0 if _is_coarser(check, accuracy) and not case.structure.kinked else _MARGIN_OF_CHECK)
+    error = apart * (1.0 if is_coarser and not case.structure.kinked else _MARGIN_OF_CHECK)
     return found, max(error, unnoticed_stops(found.run, case.rate, error))
 
 
@@ -436,13 +419,6 @@ def _check_run(case: Case, accuracy: Accuracy, check: Accuracy, sizes: Array | N
             raise
         # Fixed steps may be too long for what an adaptive method resolves.
         return integrate(case, plan.finer(accuracy), sizes)
-
-
-def _is_coarser(one: Accuracy, other: Accuracy) -> bool:
-    """Return whether two accuracies have the same method and the first has the coarser setting."""
-    return one.method == other.method and (
-        (one.steps or 0) < (other.steps or 0) or (one.tolerance or 0.0) > (other.tolerance or 0.0)
-    )
 
 
 def _warned(case: Case, found: Integrated, error: float, wanted: float | None) -> tuple[float, tuple[str, ...]]:
@@ -495,21 +471,29 @@ def quasi_static(
 
     Averages are composite Gauss-Legendre quadratures with a panel for each step of the timeline.
     """
-    p = parameters(scene)
+    structure, p = Structure.of(scene), parameters(scene)
     nodes, weights = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
+    steady = structure.steady_resistance(p, scene.tow_speed)
     p["static"] = labelled(p["static"], scene)
-    course = partial(_course, scene, p, duration)
+
+    def course(fractions: Column) -> tuple[Column, Column, Column, Column]:
+        """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
+        if isinstance(fractions, np.ndarray):
+            fractions = column(fractions, holds_casadi((scene, duration)))
+        time = fractions * duration
+        path, speed = structure.towed(p, time)
+        force, everywhere = structure.resistance(p, path, speed), 0.0 * time
+        return time, path + everywhere, speed + everywhere, force + everywhere
+
     time, path, speed, force = course(timeline.output_fractions)
     _, _, node_speed, node_force = course(nodes)
     # Averages of the change since the first node: a constant force then has no variance by rounding of the weights.
     change = node_force - node_force[0]
-    mean_change = _average(change, weights)
+    mean_change = dot(weights, change)
     mean_draft = node_force[0] + mean_change
-    variance = _average((change - mean_change) ** 2, weights)
-    with unlabelled():
-        force_rms = rms(variance, scene.steady_resistance)
-    stiffness, still = scene.stiffness, 0.0 * force + 0.0
-    tow_power = _average(node_force * node_speed, weights)
+    variance = dot(weights, (change - mean_change) ** 2)
+    force_rms, stiffness, still = rms(variance, steady), scene.stiffness, 0.0 * force + 0.0
+    tow_power = dot(weights, node_force * node_speed)
     averages = Averages(mean_draft, force_rms, mean_draft / stiffness, force_rms / stiffness, tow_power)
     deflection = force / stiffness
     return Run(scene, duration, time, path, speed, deflection, force, force, still, still, averages, accuracy)
@@ -528,24 +512,3 @@ def _quadrature(timeline: Timeline, points: int, duration: Expression, ramp: Exp
     sizes = np.diff(timeline.nodes)[:, None]
     inner = timeline.nodes[:-1, None] + sizes * (nodes + 1.0) / 2.0
     return inner.ravel(), (sizes * weights / 2.0).ravel()
-
-
-def _course(
-    scene: Scene, p: Parameters, duration: Expression, fractions: Column
-) -> tuple[Column, Column, Column, Column]:
-    """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
-    structure = Structure.of(scene)
-    if isinstance(fractions, np.ndarray):
-        fractions = column(fractions, holds_casadi((scene, duration)))
-    time = fractions * duration
-    path, speed = structure.towed(p, time)
-    force = structure.resistance(p, path, speed)
-    everywhere = 0.0 * time
-    return time, path + everywhere, speed + everywhere, force + everywhere
-
-
-def _average(values: Column, weights: Column) -> Expression:
-    if not is_casadi(values):
-        return float(weights @ values)
-    mean: Expression = ca.dot(ca.DM(weights) if isinstance(weights, np.ndarray) else weights, values)
-    return mean

@@ -76,10 +76,8 @@ def mean_ratio(r: Expression, soil: Soil) -> Expression:
     profile = soil.density_profile
     if profile is None:
         return soil.density_ratio
-    total: Expression = 0.0
-    for node, weight in zip(*gauss_legendre(profile.order), strict=True):
-        total = total + 2.0 * weight * node * ratio(r * node, soil)
-    return total
+    nodes = zip(*gauss_legendre(profile.order), strict=True)
+    return sum(2.0 * weight * node * ratio(r * node, soil) for node, weight in nodes)
 
 
 def front(radius: Expression, soil: Soil) -> Expression:

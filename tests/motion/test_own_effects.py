@@ -86,6 +86,12 @@ def test_a_named_method_checks_itself_where_steps_of_order_8_are_too_long():
     assert all(abs(run.mean_draft / runs[1].mean_draft - 1.0) <= run.error_estimate < 1e-7 for run in runs)
 
 
+def test_a_resistance_in_two_parts_takes_the_steps_of_the_whole():
+    whole, half = Shank(viscous=8e3), Shank(viscous=4e3)
+    runs = [po.simulate(scene_of(own=own, strength_wave=WAVE), 0.5) for own in ((whole,), (half, half))]
+    assert runs[0].accuracy == runs[1].accuracy
+
+
 # --- jumps, and forces that run away ---
 
 

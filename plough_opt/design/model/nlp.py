@@ -34,7 +34,6 @@ from plough_opt.core.compiler import Variant, in_machine_code
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
 from plough_opt.motion.batch.batch import DomainCheck
-from plough_opt.motion.equation import equation_of
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.derivatives import jets_of, weighted_curvature
 from plough_opt.motion.solvers.integrators import Embedding, Integration, embedding_of, integration
@@ -394,7 +393,7 @@ def _integration_of(run: EmbeddedRun, only_averages: bool, steps: int | None) ->
     if steps is not None:
         timeline = replace(timeline, steps=steps, aligned=timeline.moving)
     solver = integration(structure, accuracy, timeline)
-    return solver, solver.results - equation_of(structure).averages if only_averages else 0
+    return solver, solver.results - solver.equation.averages if only_averages else 0
 
 
 @dataclass(frozen=True)
@@ -495,7 +494,7 @@ def averages_only(run: EmbeddedRun, algebra: ca.Function, result: int) -> bool:
         algebra: the expressions as a Function; its input number ``result`` is the run's results.
         result: that number.
     """
-    states = sum(output.numel() for output in run.outputs) - equation_of(run.integration.structure).averages
+    states = sum(output.numel() for output in run.outputs) - run.integration.equation.averages
     columns = (algebra.jac_sparsity(k, result).get_col() for k in range(algebra.n_out()))
     return all(column >= states for own in columns for column in own)
 

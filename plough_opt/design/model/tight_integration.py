@@ -17,7 +17,6 @@ from plough_opt.core.expressions import is_quantity, map_expressions, with_numbe
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.nlp import Vector, has_own_law, is_own, split
 from plough_opt.motion.effects import MOST_HARMONICS
-from plough_opt.motion.equation import equation_of
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
@@ -173,7 +172,7 @@ class TightEvaluation:
         """
         own = self.runs[run].integration
         stacked = self._tight(own, tuple(parameters.tolist()), False)
-        outputs, equation = own.timeline.outputs + 1, equation_of(own.structure)
+        outputs, equation = own.timeline.outputs + 1, own.equation
         states, means, variances = np.split(stacked, [-equation.averages, -equation.squared])
         states = states.reshape(outputs, -1)
         fractions = own.timeline.output_fractions

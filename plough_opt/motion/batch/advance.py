@@ -34,7 +34,7 @@ from plough_opt.core.expressions import Column, Expression, absolute, minimum, s
 from plough_opt.core.plain_data import Array
 from plough_opt.motion.batch.series import Graph, Series, Switch, series_of
 from plough_opt.motion.effects import StrengthWaves
-from plough_opt.motion.equation import Equation, Structure, equation_of, parameters
+from plough_opt.motion.equation import Equation, Structure, parameters
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.plan import rates
 
@@ -59,9 +59,8 @@ class Layout:
     switches: int
 
     @classmethod
-    def of(cls, structure: Structure) -> Layout:
-        """Return the layout of a structure."""
-        equation = equation_of(structure)
+    def of(cls, equation: Equation) -> Layout:
+        """Return the layout of an equation of motion."""
         graph, unknown = Graph(), ca.SX.sym("unknown")
         state, known = [graph.given(unknown) for _ in range(2)], [graph.constant(unknown) for _ in equation.names]
         series_of(graph, equation.rate, [[graph.clock(unknown)], state, known])
@@ -184,8 +183,6 @@ class StartValues:
         force: mount force at the start [N].
         deflection: of the spring at the start [m].
         tow_speed: of the strut, after a ramp [m/s].
-        stiffness: of the mount [N/m].
-        restoring: the same, negative for a repelling spring [N/m].
     """
 
     rate: Column
@@ -193,24 +190,24 @@ class StartValues:
     force: Column
     deflection: Column
     tow_speed: Column
-    stiffness: Column
-    restoring: Column
 
-    def results(self, layout: Layout, state: Array) -> Array:
+    def results(self, layout: Layout, p: Array, state: Array) -> Array:
         """Return `RESULTS` and the relative error, a row each.
 
         Args:
-            layout: of the state.
+            layout: of parameters and state.
+            p: parameters of the steps, a row each.
             state: at the end, from the means on, a row each.
         """
         means, variances, _ = np.split(state, [layout.equation.count, layout.equation.averages])
-        displacement_rms = np.sqrt(variances[0])
+        spring, displacement_rms = p[layout.names.index("stiffness")], np.sqrt(variances[0])
+        stiffness = np.abs(spring)  # a repelling spring has a negative one
         # Without a damper the mount force is that of the spring, and there is no signal for it.
-        mean_draft = self.force + (means[1] if layout.equation.squared > 1 else self.restoring * means[0])
-        force_rms = np.sqrt(variances[1]) if layout.equation.squared > 1 else self.stiffness * displacement_rms
+        mean_draft = self.force + (means[1] if layout.equation.squared > 1 else spring * means[0])
+        force_rms = np.sqrt(variances[1]) if layout.equation.squared > 1 else stiffness * displacement_rms
         tow_power = means[-1] if layout.structure.ramp else mean_draft * self.tow_speed
         size = np.maximum(np.abs(mean_draft), force_rms)
-        error = np.divide(np.sqrt(state[-1]) * self.stiffness, size, out=np.zeros_like(size), where=size != 0.0)
+        error = np.divide(np.sqrt(state[-1]) * stiffness, size, out=np.zeros_like(size), where=size != 0.0)
         # Motions that diverge for very long leave the range of floating point.
         error[np.isnan(error)] = np.inf
         return np.stack([mean_draft, force_rms, self.deflection + means[0], displacement_rms, tow_power, error])
@@ -232,8 +229,6 @@ def setup(layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[C
         force=structure.start_force(known) + structure.pull(known, 0.0, rate),
         deflection=structure.start_deflection(known),
         tow_speed=scene.tow_speed,
-        stiffness=scene.stiffness,
-        restoring=scene.restoring_stiffness,
     )
     longest_first_step, allowed_error = duration / (1.0 + phase), error * size * part
     column = stacked(*values, end, duration, longest_first_step, allowed_error, *vars(start).values())
@@ -265,9 +260,8 @@ def function_of_column(name: str, inputs: Sequence[Column], result: Column) -> c
 
 
 @lru_cache(maxsize=16)
-def slopes(structure: Structure) -> ca.Function:
+def slopes(equation: Equation) -> ca.Function:
     """Return (time, (w, w'), parameters of the equation of motion) -> (dw''/dw [1/s^2], dw''/dw' [1/s])."""
-    equation = equation_of(structure)
     time, state, p = ca.SX.sym("time"), ca.SX.sym("state", 2), ca.SX.sym("p", len(equation.names))
     found = ca.densify(ca.jacobian(equation.rate(time, state, p)[1], state))
     return ca.Function("slopes", [time, state, p], [ca.cse(found.T)])
@@ -287,7 +281,7 @@ def _phase_and_error_part(layout: Layout) -> ca.Function:
     soil_over_mount, decay = ca.SX(0), ca.SX(0)
     for k in range(_MOMENTS):
         moment = duration * math.fmod(_GOLDEN_SECTION * (k + 0.5), 1.0)
-        spring, damper = ca.vertsplit(slopes(layout.structure)(moment, ca.SX.zeros(2), p[: len(layout.names)]))
+        spring, damper = ca.vertsplit(slopes(layout.equation)(moment, ca.SX.zeros(2), p[: len(layout.names)]))
         soil_over_mount = soil_over_mount + ca.fabs(spring + frequency_squared) / (_MOMENTS * frequency_squared)
         decay = decay - damper / (2.0 * _MOMENTS)
     # An overdamped mount has two rates of decay; this is the slower one, times the duration.
@@ -324,7 +318,7 @@ def deviation_map(start: StepStart, motion: tuple[list[ca.SX], list[ca.SX]], pow
     """
     graph = start.graph()
     known = [graph.given(*coefficients[:_SPRING_TERMS]) for coefficients in motion]
-    spring, damper = start.series(graph, slopes(start.layout.structure), known)
+    spring, damper = start.series(graph, slopes(start.layout.equation), known)
     for order in range(_SPRING_TERMS):
         graph.extend(order)
     size, frequency = powers[1], start.layout.mount_frequency(start.p)
@@ -358,11 +352,8 @@ def _tilt(series: Series, powers: list[ca.SX]) -> ca.SX:
 
 def _weighted(series: Series, powers: list[ca.SX], weights: list[float]) -> ca.SX:
     """Return the sum of a series' terms at the end of the step, each times its weight."""
-    total = ca.SX(0)
-    for c, power, weight in zip(series.coefficients, powers, weights, strict=False):
-        if weight != 0.0 and not c.is_zero():
-            total = total + weight * (c * power)
-    return total
+    terms = zip(series.coefficients, powers, weights, strict=False)
+    return sum((weight * (c * power) for c, power, weight in terms if weight != 0.0 and not c.is_zero()), ca.SX(0))
 
 
 def _cosh_and_sinh(x: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -500,9 +491,7 @@ def _last_terms(start: StepStart, series: list[ca.SX], highest: int) -> ca.SX:
     Each of these is carried to the highest order as that of an oscillation at the frequencies of mount and wave.
     """
     rate = start.layout.fastest_frequency(start.p) / _FALL
-    total = ca.SX(0)
-    for k in range(_LAST_COEFFICIENTS):
-        total = total + ca.fabs(series[highest - k]) * rate**k
+    total = sum((ca.fabs(series[highest - k]) * rate**k for k in range(_LAST_COEFFICIENTS)), ca.SX(0))
     unknown = start.layout.structure.own or start.layout.structure.smooth
     return _WEIGHT * (_UNKNOWN_RATES if unknown else 1.0) * total
 
@@ -620,14 +609,14 @@ def _legendre(terms: list[ca.SX], highest: int) -> list[ca.SX]:
     The coefficient of degree l of u^k is (2l + 1) k!^2 / ((k - l)! (k + l + 1)!).
     """
     factorial = math.factorial
-    coefficients = []
-    for degree in range(highest + 1):
-        total = ca.SX(0)
-        for k, c in enumerate(terms[degree:], start=degree):
-            weight = (2 * degree + 1) * factorial(k) ** 2 / (factorial(k - degree) * factorial(k + degree + 1))
-            total = total + weight * c
-        coefficients.append(total)
-    return coefficients
+
+    def weight(degree: int, k: int) -> float:
+        return (2 * degree + 1) * factorial(k) ** 2 / (factorial(k - degree) * factorial(k + degree + 1))
+
+    return [
+        sum((weight(degree, k) * c for k, c in enumerate(terms[degree:], start=degree)), ca.SX(0))
+        for degree in range(highest + 1)
+    ]
 
 
 def _powers(x: ca.SX, highest: int) -> list[ca.SX]:

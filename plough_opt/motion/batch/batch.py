@@ -49,7 +49,7 @@ from plough_opt.motion.batch.advance import (
 )
 from plough_opt.motion.batch.series import Engine
 from plough_opt.motion.effects import StickSlip
-from plough_opt.motion.equation import Structure
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers.orbit import inverse, near_orbit, returning, without_orbit
 from plough_opt.motion.vocabulary import called
@@ -204,7 +204,7 @@ class Batch:
         check_single("the duration of a batch", duration)
         symbols = _symbols(inputs)
         self._error = error
-        self._layout = Layout.of(Structure.of(scene))
+        self._layout = Layout.of(equation_of(Structure.of(scene)))
         template, quantities = template_of(scene)
         self._check = DomainCheck(template, [None if is_symbolic(q) else float(as_number(q)) for q in quantities])
         varying = [q for q in quantities if is_symbolic(q)]
@@ -373,7 +373,7 @@ class Batch:
         steps = self._run(p, states, key)
         results = np.empty((len(RESULTS) + 3, p.shape[1]))
         with np.errstate(all="ignore"):
-            *results[: len(RESULTS)], results[-2] = start.results(self._layout, states[3:])
+            *results[: len(RESULTS)], results[-2] = start.results(self._layout, p, states[3:])
         results[-3], results[-1] = largest, steps
         # Of a finished run only the error may have left the range of floating point.
         results[:-1, np.isnan(states[0])] = np.nan

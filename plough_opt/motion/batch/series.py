@@ -233,20 +233,14 @@ class Graph:
 
 def _convolved(a: Series | Sequence[ca.SX], b: Series, k: int, low: int) -> ca.SX:
     """Return the sum of a_j b_(k-j) for j from low to k."""
-    total = _ZERO
-    for j in range(low, k + 1):
-        if not (a[j].is_zero() or b[k - j].is_zero()):
-            total = total + a[j] * b[k - j]
-    return total
+    pairs = ((a[j], b[k - j]) for j in range(low, k + 1))
+    return sum((x * y for x, y in pairs if not (x.is_zero() or y.is_zero())), _ZERO)
 
 
 def _self_convolved(a: Series, k: int, low: int) -> ca.SX:
     """Return the sum of a_j a_(k-j) for j from low to k - low; each pair of equal products is computed once."""
-    total = _ZERO
-    for j in range(low, (k + 1) // 2):
-        if not (a[j].is_zero() or a[k - j].is_zero()):
-            total = total + a[j] * a[k - j]
-    total = 2.0 * total
+    pairs = ((a[j], a[k - j]) for j in range(low, (k + 1) // 2))
+    total = 2.0 * sum((x * y for x, y in pairs if not (x.is_zero() or y.is_zero())), _ZERO)
     if k % 2 == 0 and k // 2 >= low:
         total = total + a[k // 2] ** 2
     return total

@@ -7,7 +7,6 @@ from plough_opt.motion.effects.terms import (
     Damping,
     Entry,
     InertialDrag,
-    Place,
     RateTerm,
     Smooth,
     SmoothContact,
@@ -18,14 +17,13 @@ from plough_opt.motion.effects.terms import (
     Term,
     TowRamp,
     ramp_time,
-    resisted,
     wave_names,
 )
 
 __all__ = [
     "MOST_HARMONICS", "OWN_EFFECTS", "TERMS", "Damping", "Effects", "Entry", "HarmonicBalance", "Own", "OwnResistance",
-    "Place", "RestingResistance", "Smooth", "SmoothContact", "SpeedProfile", "StickSlip", "StickSlipContact",
-    "StrengthWaves", "Term", "TowProfile", "TowRamp", "profile_of", "ramp_time", "resisted", "slopes", "wave_names",
+    "RestingResistance", "Smooth", "SmoothContact", "SpeedProfile", "StickSlip", "StickSlipContact",
+    "StrengthWaves", "Term", "TowProfile", "TowRamp", "profile_of", "ramp_time", "slopes", "wave_names",
 ]  # fmt: skip
 
 TERMS: tuple[type[Term], ...] = (

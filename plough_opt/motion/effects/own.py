@@ -121,6 +121,7 @@ def check_own(own: Any, resting: bool) -> None:
 def _indistinct(item: Any) -> str | None:
     """Return the type of a value, in an own effect, whose repr may not be distinct; None if there is none."""
     inner: Iterable[Any] = ()
+    printed: object = type(item).__repr__  # Python's own shows the address in memory
     if is_dataclass(item) and not isinstance(item, type):
         inner = [getattr(item, each.name) for each in fields(item)]
     elif isinstance(item, Mapping):
@@ -129,15 +130,9 @@ def _indistinct(item: Any) -> str | None:
         inner = item
     elif is_casadi(item):
         return None if item.numel() == 1 else f"a column of type {type(item).__name__}"
-    elif not isinstance(item, _DISTINCT) and not _prints_its_address(item):
+    elif not isinstance(item, _DISTINCT) and printed is not object.__repr__:
         return f"a value of type {type(item).__name__}"
     return next((found for each in inner if (found := _indistinct(each)) is not None), None)
-
-
-def _prints_its_address(item: Any) -> bool:
-    """Return whether an object has Python's default repr, which holds its address in memory."""
-    printed: object = type(item).__repr__
-    return printed is object.__repr__
 
 
 @dataclass(frozen=True)

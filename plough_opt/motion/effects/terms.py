@@ -193,13 +193,6 @@ class Term:
         return ()
 
 
-def resisted(terms: Sequence[Term], force: Any, at: Place, p: Parameters) -> Any:
-    """Return the resistance [N] that terms, one after another, make of the static force."""
-    for term in terms:
-        force = term.resist(force, at, p)
-    return force
-
-
 @dataclass(frozen=True)
 class StrengthWaves(Term):
     """Static resistance F0 (1 + sum of amplitude sin(2 pi L/wavelength + phase)).

@@ -6,7 +6,6 @@ Between outputs the speed is therefore read from a polynomial through speeds and
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -54,11 +53,12 @@ def refuse_runaway(scene: Scene, duration: float) -> None:
         raise Escape(f"the motion of a {scene.describe()} overflows within {duration:g} s: {_runaway(scene)}")
 
 
-def waves_in_flight(scene: Scene, p: Mapping[str, float], duration: float) -> float:
+def waves_in_flight(scene: Scene, duration: float) -> float:
     """Return the phase [rad] of the strength wave that a share passes while a repelling spring drives it away.
 
     It is 0 in scenes with drag or a rate term, which slow the share down or end the motion in finite time.
     """
+    p = plan.numbers_of(scene)
     if not scene.effects.printed.repelling_spring or "wavelength" not in p or "drag" in p or "rate_term" in p:
         return 0.0
     growth, steady = _growth(scene), p["static"] / abs(p["stiffness"])
@@ -196,12 +196,11 @@ class MissedEvent(IntegrationError):
     """An integrator passed the moment at which a share stopped or broke loose without noticing it."""
 
 
-def refuse_endless(scene: Scene, p: Mapping[str, float], duration: float) -> None:
+def refuse_endless(scene: Scene, duration: float) -> None:
     """Raise an error for a run that would take minutes.
 
     Args:
         scene: numeric scene.
-        p: the equation's parameters by name.
         duration: of the run [s].
 
     Raises:
@@ -211,7 +210,7 @@ def refuse_endless(scene: Scene, p: Mapping[str, float], duration: float) -> Non
     if scene.effects.orbit != "transient":
         return refuse_stiff_orbit(scene)
     relaxed = scene.effects.start != "equilibrium" and not scene.effects.printed.repelling_spring
-    turns = plan.ringing(p, duration) if relaxed else 0.0
+    turns = plan.ringing(plan.numbers_of(scene), duration) if relaxed else 0.0
     if turns > plan.MOST_RINGING:
         raise IntegrationError(
             f"the motion of a {scene.describe()}: from this start it rings {turns / (2.0 * math.pi):.3g} times, which"
@@ -219,7 +218,7 @@ def refuse_endless(scene: Scene, p: Mapping[str, float], duration: float) -> Non
             " softer mount, a shorter duration or the quasi-static scene, or name a method, such as Accuracy('erk'), to"
             " integrate it anyway"
         )
-    total = plan.rates_of(scene).forced * duration + waves_in_flight(scene, p, duration)
+    total = plan.rates_of(scene).forced * duration + waves_in_flight(scene, duration)
     motion = scene.effects.motion
     if total > (plan.MOST_FORCED if motion else plan.MOST_PANELLED):
         by_name = ", or name a method, such as Accuracy('erk'), to integrate it anyway" if motion else ""
@@ -279,20 +278,19 @@ def refuse_drifting_own(scene: Scene) -> None:
         )
 
 
-def refuse_weak_rest(scene: Scene, run: Run) -> None:
+def refuse_weak_rest(run: Run) -> None:
     """Raise an error if an own effect holds a resting share with less force than it resists a slipping one.
 
     Such a share would stop and break loose endlessly.
 
     Args:
-        scene: numeric scene.
-        run: its run under `StickSlip`.
+        run: numeric run under `StickSlip`.
 
     Raises:
         InputError: an own effect does so somewhere along the run.
     """
-    structure, p = Structure.of(scene), parameters(scene)
-    for term in structure.own:
+    p = parameters(run.scene)
+    for term in Structure.of(run.scene).own:
         held, slips = (np.broadcast_to(as_number(force), run.travel.shape) for force in (
             term.at_rest(p, run.travel), term.force(p, run.travel, 0.0)))  # fmt: skip
         if np.any(weak := ~(held >= slips * (1.0 - _MISSED))):

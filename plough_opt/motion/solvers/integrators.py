@@ -13,16 +13,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.checks import Meanings, attach
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
 from plough_opt.core.process import without_notices
 from plough_opt.motion.effects import StickSlip
-from plough_opt.motion.equation import Equation, Structure, equation_of, lightest_mass
-from plough_opt.motion.methods import METHODS, Accuracy, tableau_of
-from plough_opt.motion.run import ARRAYS, Run, assemble, averages_of
+from plough_opt.motion.equation import Equation, Structure, equation_of
+from plough_opt.motion.methods import METHODS, Accuracy
+from plough_opt.motion.run import ARRAYS, Averages, Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.checks import (
     failed_by,
@@ -34,10 +33,8 @@ from plough_opt.motion.solvers.checks import (
 from plough_opt.motion.solvers.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.solvers.orbit import orbit_map, without_orbit
 from plough_opt.motion.solvers.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, rates_of, timeline_of
-from plough_opt.motion.solvers.steps import Timeline, run_map
+from plough_opt.motion.solvers.steps import Array, Timeline, run_map
 
-# A negligible force [N], which keeps the sizes of a scene without forces above zero.
-_LEAST_FORCE = 1e-9
 _MOST_EVENTS = 1_000_000
 # CasADi quotes this name in its error if a forward derivative of a forward derivative, which it lacks, is requested.
 _NAME_WITH_EVENTS = "motion_with_events_whose_second_derivatives_are_those_of_a_gradient_as_by_casadi_hessian"
@@ -112,7 +109,7 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
     equation = equation_of(structure)
     if structure.orbit != "transient":
         return Integration(equation, accuracy, timeline, orbit_map(equation, timeline))
-    if (tableau := tableau_of(accuracy.method)) is not None:
+    if (tableau := accuracy.tableau) is not None:
         return Integration(equation, accuracy, timeline, run_map(equation, timeline, tableau))
     # The end of a symbolic ramp cannot be an output time, and a step across it would spoil derivatives by its time.
     locates = timeline.moving and accuracy.locates_events
@@ -138,43 +135,27 @@ def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> Si
         solver = ca.integrator(name, accuracy.method, scaled, 0.0, times.tolist(), options)
     p, known = equation.symbols(ca.MX)
     sizes = ca.MX.sym("sizes", 2 + equation.averages)
-    unit = _units(equation.structure, sizes)
+    unit, of_means, of_spreads = _units(equation, sizes)
     first = equation.start(p[:-1])
     given = stacked(first / unit, ca.MX.zeros(equation.squared)), stacked(p, sizes)
     result = solver(x0=given[0], p=given[1])
     states = result["xf"][: equation.states, read] * ca.repmat(unit, 1, timeline.outputs)
-    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + equation.count, sizes.numel()])
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, equation.squared, equation.count])
     means = stacked(result["xf"][equation.states :, -1], others) * of_means
     found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
     function = ca.Function(f"sized_{accuracy.method}", [p, sizes], found, {"never_inline": True})
-    expected = ca.Function("expected", [p], [_expected(equation.structure, known, p[-1])])
+    expected = ca.Function("expected", [p], [equation.structure.sizes(known, p[-1])])
     return Sized(function, expected, solver, ca.Function("given", [p, sizes], given))
 
 
-def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
-    """Return the sizes to expect in a `Sized` run. In units of them one absolute tolerance suits every state."""
-    # Parameters without influence on the motion count as zero.
-    complete = dict.fromkeys(structure.names, 0.0) | p
-    stiffness = ca.fabs(p["stiffness"])  # negative for a repelling spring
-    hardness = ca.sqrt(stiffness * lightest_mass(p))
-    force = structure.start_resistance(complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
-    if structure.relaxed and structure.sticks:
-        # The resistance may be far greater than the force that the relaxed spring reaches.
-        force = ca.fmin(force, complete["tow_speed"] * (stiffness * duration + hardness) + _LEAST_FORCE)
-    deflection, rate = force / stiffness, force / hardness
-    squared, others = [deflection], []
-    if structure.damper:
-        squared.append(force + structure.pull(p, 0.0, rate))
-    if structure.accelerates:
-        others.append(force * (p["tow_speed"] + rate))
-    return stacked(deflection, rate, *squared, *others, *squared)
+def _units(equation: Equation, sizes: Any) -> tuple[Any, Any, Any]:
+    """Return the units of the states, of the signals and of their RMS.
 
-
-def _units(structure: Structure, sizes: Any) -> Any:
-    """Return the units of the states: deflection, its rate, opening of a gap; 1 for the mode and other flags."""
-    modes = (sizes[0], 1.0) if structure.events else ()
-    return stacked(sizes[0], sizes[1], *modes, *(1.0,) * len(structure.ending))
+    Those of the states are of deflection, its rate and the opening of a gap; 1 for the mode and other flags.
+    """
+    modes = (sizes[0], 1.0) if equation.structure.events else ()
+    of_states = stacked(sizes[0], sizes[1], *modes, *(1.0,) * len(equation.structure.ending))
+    return of_states, *ca.vertsplit(sizes, [0, 2, 2 + equation.count, sizes.numel()])[1:]
 
 
 def _scaled_equation(equation: Equation) -> tuple[dict[str, ca.SX], ca.Function | None]:
@@ -189,8 +170,7 @@ def _scaled_equation(equation: Equation) -> tuple[dict[str, ca.SX], ca.Function 
     x = ca.SX.sym("x", count + equation.squared)
     p, _ = equation.symbols(ca.SX)
     sizes = ca.SX.sym("sizes", 2 + equation.averages)
-    unit = _units(equation.structure, sizes)
-    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + equation.count, sizes.numel()])
+    unit, of_means, of_spreads = _units(equation, sizes)
     duration = p[-1]
     time, state = fraction * duration, x[:count] * unit
     rate, values = equation.rate(time, state, p[:-1]), equation.signals(time, state, p[:-1]) / of_means
@@ -226,12 +206,10 @@ def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
         return {"number_of_finite_elements": timeline.steps, **_QUIET}
     tolerance = accuracy.tolerance
     assert tolerance is not None  # `with_setting` or `automatic` has given it one
-    options: dict[str, Any] = {**_QUIET, "reltol": tolerance, "abstol": 0.01 * tolerance}
-    options["max_num_steps"] = timeline.steps
-    if accuracy.method in ("cvodes", "idas"):
-        # Without quadratures in the error control, sensitivities by these two methods can be silently wrong.
-        options["quad_err_con"] = True
-    return options
+    # Without quadratures in the error control, sensitivities by these two methods can be silently wrong.
+    quadratures = {"quad_err_con": True} if accuracy.method in ("cvodes", "idas") else {}
+    tolerances = {"reltol": tolerance, "abstol": 0.01 * tolerance}
+    return {**_QUIET, **tolerances, "max_num_steps": timeline.steps, **quadratures}
 
 
 @dataclass(frozen=True)
@@ -263,28 +241,27 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[C
     Raises:
         InputError: the symbols are SX, and the method supports only MX.
     """
-    template, quantities = template_of(scene)
-    carried = stacked(*quantities)
+    template, carried, key = _carried(scene)
     inputs = stacked(*p)
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.structure.orbit != "transient":
             raise InputError("an orbit takes MX symbols only, because it is the root of an equation: use casadi.MX")
-        if tableau_of(solver.accuracy.method) is None:
+        if solver.sized is not None:
             raise InputError(f"method '{solver.accuracy.method}' takes MX symbols only: use casadi.MX, or use 'dop853'")
         return tuple(solver.function.call([inputs]))
     # Quantities are placeholders in the template, so that scenes which differ only in numbers share one Function.
-    layout = (hash(solver.function), _key(template))
-    run = _RUNS.shared(layout, lambda: (_build(solver, carried.numel()), Embedding(solver, template)))
+    run = _RUNS.shared(
+        (hash(solver.function), key), lambda: (_build(solver, carried.numel()), Embedding(solver, template))
+    )
     return tuple(run.call([inputs, carried]))
 
 
 def labelled(value: Column, scene: Scene) -> Expression:
     """Return a value with its scene attached as a label if the scene holds MX symbols."""
-    template, quantities = template_of(scene)
-    carried = stacked(*quantities)
+    template, carried, key = _carried(scene)
     if isinstance(carried, ca.MX) and is_symbolic(carried):
         value = ca.MX(value)
-    return attach(value, carried, template, _key(template))
+    return attach(value, carried, template, key)
 
 
 def embedding_of(function: ca.Function) -> Embedding | None:
@@ -292,10 +269,15 @@ def embedding_of(function: ca.Function) -> Embedding | None:
     return _RUNS.of(function)
 
 
-def _key(template: Scene) -> Hashable:
-    """Return a key of a template: its repr, the classes in it, and the function of its density profile."""
+def _carried(scene: Scene) -> tuple[Scene, Column, Hashable]:
+    """Return a scene's template, a column of its quantities, and a key of the template.
+
+    The key is its repr, the classes in it, and the function of its density profile.
+    """
+    template, quantities = template_of(scene)
     profile = template.soil.density_profile
-    return repr(template), classes_in(template), None if profile is None else id(profile.density)
+    key = repr(template), classes_in(template), None if profile is None else id(profile.density)
+    return template, stacked(*quantities), key
 
 
 def _build(solver: Integration, count: int) -> ca.Function:
@@ -306,8 +288,6 @@ def _build(solver: Integration, count: int) -> ca.Function:
     names = ["parameters", "scene"], ["states", "means", "variances"]
     return ca.Function("run", [p, carried], results, *names, {"never_inline": True})
 
-
-Array = NDArray[np.float64]
 
 # An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
 # smaller than this part of it.
@@ -375,11 +355,6 @@ class Case:
         """Parameters of the equation, with the duration last."""
         return self.equation.column(self.p, self.duration)
 
-    @cached_property
-    def first_force(self) -> Expression:
-        """Force of the spring at the start [N]."""
-        return self.structure.start_force(self.p)
-
     def timeline(self, outputs: int, accuracy: Accuracy, steps: int = OUTPUTS) -> Timeline:
         """Return the times of a run by a method, with its own number of steps if it has one."""
         return timeline_of(self.scene, self.duration, outputs, accuracy.steps or steps, accuracy.method)
@@ -433,11 +408,10 @@ def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, per
         if not case.explained:
             raise IntegrationError(f"the motion of a {scene.describe()} could not be integrated")
         raise failed_by(scene, duration, (accuracy, outputs), *_until_failure(case, solver, p))
-    states, means, variances = results
-    run = _assembled(case, timeline, (states.T, means.ravel(), variances.ravel()), accuracy)
+    run = _assembled(case, timeline, results, accuracy)
     if isinstance(scene.effects.contact, StickSlip):
         refuse_missed_event(run)
-        refuse_weak_rest(scene, run)
+        refuse_weak_rest(run)
     return Integrated(run, sizes)
 
 
@@ -448,7 +422,7 @@ def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrate
     """
     if case.code is None or not (accuracy.order_8 and check.order_8):
         return None
-    scene, structure, p, equation = case.scene, case.structure, case.p, case.equation
+    scene, p, equation = case.scene, case.p, case.equation
     refuse_runaway(scene, case.duration)
     timelines = case.timeline(case.outputs, accuracy), case.timeline(case.outputs, check)
     found = case.code.both(timelines, case.column, [p[name] for name in equation.outputs[0]])
@@ -456,8 +430,7 @@ def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrate
         return None
     (force, soil, deflection, speed, travel), sizes, averages = found
     ours, theirs = (
-        averages_of(scene, structure, p, case.first_force, row[: equation.count], row[equation.count :])
-        for row in averages.tolist()
+        Averages(*case.structure.averages(p, row[: equation.count], row[equation.count :])) for row in averages.tolist()
     )
     time, none = timelines[0].output_fractions * case.duration, np.zeros(len(force))
     run = Run(scene, case.duration, time, travel, speed, deflection, force, soil, none, none, ours, accuracy)
@@ -465,8 +438,12 @@ def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrate
     return Integrated(run), relative_difference(run, largest, differences, theirs)
 
 
-def _assembled(case: Case, timeline: Timeline, found: tuple[Array, Array, Array], accuracy: Accuracy) -> Run:
-    """Return the run of (states with a row for each output, means of the signals, mean squares about them)."""
+Results = tuple[Array, Array, Array]
+"""States at the output times, a row each, means of the signals, and mean squares about them."""
+
+
+def _assembled(case: Case, timeline: Timeline, found: Results, accuracy: Accuracy) -> Run:
+    """Return the run that belongs to results of its integration."""
     return assemble(case.scene, case.duration, timeline.output_fractions, *found, accuracy, case.p)
 
 
@@ -478,7 +455,7 @@ def thinned(run: Run, outputs: int) -> Run:
     return replace(run, **{name: getattr(run, name)[::every] for name in ARRAYS})
 
 
-def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[list[Array] | None, Array | None]:
+def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[Results | None, Array | None]:
     """Return the results of an adaptive method (None if it failed) and the sizes of their quantities."""
     expected = sized.expected(p).full().ravel()
     results = _attempt(sized.function, p, expected if sizes is None else sizes)
@@ -492,13 +469,12 @@ def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[list[Arra
     return results, found
 
 
-def _sizes(results: list[Array], expected: Array) -> Array:
+def _sizes(results: Results, expected: Array) -> Array:
     """Return the expected sizes, replaced by the true ones where these are far smaller."""
     states, means, variances = results
-    rms = np.sqrt(np.maximum(variances.ravel(), 0.0))
-    averages = np.abs(means.ravel())
+    rms, averages = np.sqrt(np.maximum(variances, 0.0)), np.abs(means)
     averages[: rms.size] += rms
-    found = np.concatenate([np.abs(states[:2]).max(axis=1), averages, rms])
+    found = np.concatenate([np.abs(states[:, :2]).max(axis=0), averages, rms])
     return np.where((found > 0.0) & (found < _TOO_SMALL * expected), found, expected)
 
 
@@ -511,7 +487,7 @@ def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run
     if _attempt(coarse_solver.function, p) is None:
         solver = coarse_solver
     reached, failed = 0.0, case.duration
-    last: list[Array] | None = None
+    last: Results | None = None
     while failed - reached > failed * _FAILURE_INTERVAL and failed > _EARLIEST_FAILURE * case.duration:
         middle = (reached + failed) / 2.0
         results = _attempt(solver.function, [*p[:-1], middle])
@@ -521,15 +497,13 @@ def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run
             reached, last = middle, results
     if last is None:
         return None, failed
-    states, means, variances = last
     until = replace(case, duration=reached)
-    found = states.T, means.ravel(), variances.ravel()
     with np.errstate(all="ignore"):  # steps that are too long may give any numbers
-        return _assembled(until, solver.timeline, found, solver.accuracy), failed - reached
+        return _assembled(until, solver.timeline, last, solver.accuracy), failed - reached
 
 
-def _attempt(function: Any, *inputs: list[float] | Array) -> list[Array] | None:
-    """Return the results of a Function, or None if it failed or they are not finite."""
+def _attempt(function: Any, *inputs: list[float] | Array) -> Results | None:
+    """Return the results of an integration's Function, or None if it failed or they are not finite."""
     given = [np.array(values) for values in inputs]
     untyped: Any = function.buffer()  # CasADi's type stubs do not accept arrays
     buffer, evaluate = untyped
@@ -545,4 +519,5 @@ def _attempt(function: Any, *inputs: list[float] | Array) -> list[Array] | None:
     except RuntimeError:
         return None
     valid = buffer.ret() == 0 and all(np.isfinite(result).all() for result in results)
-    return results if valid else None
+    states, means, variances = results
+    return (states.T, means.ravel(), variances.ravel()) if valid else None

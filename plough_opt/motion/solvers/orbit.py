@@ -25,12 +25,10 @@ from numpy.typing import NDArray
 from plough_opt.core.expressions import Column, stacked
 from plough_opt.motion.effects import StrengthWaves, wave_names
 from plough_opt.motion.equation import Equation, Structure, equation_of
-from plough_opt.motion.run import Run, Settled, averages_of
+from plough_opt.motion.run import Run, Settled
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.plan import numbers_of
-from plough_opt.motion.solvers.steps import Timeline, run_from, step
-
-Array = NDArray[np.float64]
+from plough_opt.motion.solvers.steps import Array, Timeline, run_from, step
 
 # For a root that it does not find, CasADi would print a page. Here such a root becomes NaN, which the caller reports as
 # an IntegrationError.
@@ -149,11 +147,10 @@ def _shooting(equation: Equation, timeline: Timeline) -> ca.Function:
     """Return the Function of the orbit whose state returns to itself after one period of steps."""
     p, x = ca.MX.sym("p", len(equation.names) + 1), ca.MX.sym("x", 2)
     guess, unit = near_orbit(equation)(p)
-    once = run_from(equation, Timeline(1, timeline.steps))
+    once, whole = (run_from(equation, each) for each in (Timeline(1, timeline.steps), timeline))
     miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
     first = _root(x, p, miss, guess / unit) * unit
-    results = run_from(equation, timeline)(first, p)
-    return ca.Function("orbit", [p], list(results), {"never_inline": True})
+    return ca.Function("orbit", [p], list(whole(first, p)), {"never_inline": True})
 
 
 # Change of a state, in units of `near_orbit`, by which the map of a period is differentiated. Curvature leaves
@@ -405,7 +402,7 @@ class _Path:
         """Begin at equilibrium."""
         self.run, self.equation, self.numbers = run, equation_of(Structure.of(run.scene)), numbers_of(run.scene)
         self.steps = run.accuracy.steps or 1
-        self.p = ca.DM([*(self.numbers[name] for name in self.equation.names), float(run.duration)])
+        self.p = ca.DM(self.equation.column(self.numbers, float(run.duration)))
         first = float(self.equation.structure.start_deflection(self.numbers))
         w, rate = run.deflection - first, run.scene.tow_speed - run.speed
         frequency = max(float(run.scene.wave_frequency), float(run.scene.natural_frequency))
@@ -463,10 +460,8 @@ class _Path:
         p = ca.vertcat(self.p[:-1], count * float(self.run.duration))
         found = run_from(self.equation, timeline)(self.states[-1 - count], p)
         states, means, variances = (np.asarray(result) for result in found)
-        scene = self.run.scene
-        first = self.equation.structure.start_force(self.numbers)
-        averages = averages_of(scene, self.equation.structure, self.numbers, first, means.ravel(), variances.ravel())
-        return float(averages.force_rms), count, distance, bool(np.max(states[1]) > scene.tow_speed)
+        _, force_rms, *_ = self.equation.structure.averages(self.numbers, means.ravel(), variances.ravel())
+        return float(force_rms), count, distance, bool(np.max(states[1]) > self.run.scene.tow_speed)
 
 
 @lru_cache(maxsize=32)

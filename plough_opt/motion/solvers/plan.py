@@ -12,6 +12,7 @@ from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, kept, maximum, sqrt
 from plough_opt.motion.effects import TERMS, Own, Smooth, slopes
+from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, lightest_mass, parameters
 from plough_opt.motion.methods import DEFAULT_DERIVATIVES, DEFAULT_ERROR, DEFAULT_TOLERANCE, METHODS, ORDER_8, Accuracy
 from plough_opt.motion.scene import Scene
@@ -132,11 +133,6 @@ def forced_rate(p: Mapping[str, Any], terms: Iterable[Any] = TERMS) -> Any:
     return reduce(maximum, [rate for term in terms for rate in term.imposed(p)] or [0.0])
 
 
-def is_imposed(name: str) -> bool:
-    """Return whether `forced_rate` depends on a parameter."""
-    return name in ("tow_speed", "ramp_time") or name.startswith("wavelength")
-
-
 class Rates(NamedTuple):
     """Rates of a motion, numbers or arrays.
 
@@ -181,7 +177,7 @@ def rates(p: Mapping[str, Any], terms: Iterable[Any] = TERMS) -> Rates:
 @kept
 def rates_of(scene: Scene) -> Rates:
     """Return the rates of a numeric scene's motion."""
-    return rates(numbers_of(scene), Structure.of(scene).terms)
+    return rates(numbers_of(scene))
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:
@@ -244,12 +240,34 @@ def kinks_of(times: tuple[float, ...], duration: float) -> tuple[float, ...]:
     return tuple(time / duration for time in times if 0.0 < time < duration)
 
 
-def unknown_steps(scene: Scene, accuracy: Accuracy, outputs: int) -> int:
-    """Return the number of steps of order 8 of a symbolic run, whose time scales are unknown."""
-    steps = _SMOOTH_STEPS if isinstance(scene.effects.contact, Smooth) else OUTPUTS
+def of_symbols(
+    scene: Scene, p: Parameters, duration: Expression, accuracy: Accuracy, outputs: int
+) -> tuple[Accuracy, Timeline]:
+    """Return the final setting and the times of a symbolic run, whose time scales are unknown.
+
+    Args:
+        scene: the scene.
+        p: the equation's parameters.
+        duration: simulated time [s].
+        accuracy: the setting that was asked for.
+        outputs: number of intervals between output times.
+    """
+    smooth, steps = isinstance(scene.effects.contact, Smooth), max(outputs, OUTPUTS)
+    if not scene.effects.motion:
+        phase = forced_rate(p) * duration
+        panels = steps if is_symbolic(phase) else max(steps, steps_for(float(as_number(phase))))
+        return accuracy, timeline_of(scene, duration, outputs, panels)
+    if accuracy.method != "auto":
+        accuracy = with_setting(accuracy, steps, outputs)
+    elif scene.effects.events:
+        # Events are located, but not the ends of the step of smooth contact, which need a tighter tolerance.
+        wanted = min(accuracy.error or DEFAULT_ERROR, (1e-4 if smooth else 1e-2) * accuracy.wanted_derivatives)
+        accuracy = automatic("erk", wanted, p, duration)
     # These suffice for the default error. Second derivatives of order-8 steps are of order 8 too.
     finer: float = (DEFAULT_DERIVATIVES / accuracy.wanted_derivatives) ** 0.125
-    return max(outputs, OUTPUTS, math.ceil(steps * finer))
+    enough = max(steps, math.ceil((_SMOOTH_STEPS if smooth else OUTPUTS) * finer), fewest_steps(p))
+    steps = MOST_ADAPTIVE if accuracy.adaptive else accuracy.steps or enough
+    return accuracy, timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
 
 
 def most_steps(total_phase: float) -> int:
@@ -284,7 +302,7 @@ def suited(structure: Structure, total_phase: float) -> tuple[str, ...]:
     return (adaptive,) if structure.events or total_phase > _ORDER_8_PHASE else ("dop853", adaptive)
 
 
-def automatic(method: str, wanted: float, p: Mapping[str, float], duration: float) -> Accuracy:
+def automatic(method: str, wanted: float, p: Mapping[str, Any], duration: Any) -> Accuracy:
     """Return the setting with which a method should reach a relative error.
 
     Args:
@@ -372,20 +390,25 @@ def _order_8(steps: int) -> Accuracy:
     return Accuracy("dop853", steps=steps)
 
 
-def check_of(accuracy: Accuracy, p: Mapping[str, float], duration: float, kinked: bool) -> Accuracy:
-    """Return the setting that checks a named method: order 8 with enough steps, or the same method, finer.
+def named(
+    accuracy: Accuracy, p: Mapping[str, float], duration: float, outputs: int, kinked: bool
+) -> tuple[Accuracy, Accuracy]:
+    """Return the settings of a named method and of its check: order 8 with enough steps, or the same method, finer.
 
     Args:
-        accuracy: the method with its setting.
+        accuracy: the method; its own setting, if given, is kept.
         p: the equation's parameters.
         duration: simulated time [s].
+        outputs: number of intervals between output times.
         kinked: whether the motion has events or kinks, across which steps of order 8 lose their order.
     """
-    if not accuracy.adaptive:
-        return replace(accuracy, steps=2 * (accuracy.steps or 1))
-    if phase(p, duration) > STIFF_PHASE or kinked:
-        return finer(accuracy)
-    return automatic("dop853", accuracy.tolerance or DEFAULT_TOLERANCE, p, duration)
+    total = phase(p, duration)
+    chosen = with_setting(accuracy, max(steps_for(total), fewest_steps(p)), outputs)
+    if not chosen.adaptive:
+        return chosen, replace(chosen, steps=2 * (chosen.steps or 1))
+    if total > STIFF_PHASE or kinked:
+        return chosen, finer(chosen)
+    return chosen, automatic("dop853", chosen.tolerance or DEFAULT_TOLERANCE, p, duration)
 
 
 def finer(accuracy: Accuracy, by: float = 0.1) -> Accuracy:

@@ -114,11 +114,6 @@ class Timeline:
         apart = [kink for kink in self.kinks if np.min(np.abs(nodes - kink)) >= _SHORT]
         return np.sort(np.append(nodes, apart)) if apart else nodes
 
-    @cached_property
-    def output_columns(self) -> list[int]:
-        """Index of each output time among the nodes of an aligned timeline."""
-        return [int(i) for i in np.searchsorted(self.nodes, self.output_fractions - 1e-12)]
-
 
 class Readings(NamedTuple):
     """Ends of steps from which each output is interpolated, and their weights.
@@ -144,7 +139,8 @@ def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX |
         duration: simulated time [s].
         ramp: time of a ramp [s] whose end is an additional end of a step; None without one.
     """
-    columns = timeline.output_columns
+    # Index of each output time among the nodes, where one of them is at each.
+    columns = [int(i) for i in np.searchsorted(timeline.nodes, timeline.output_fractions - 1e-12)]
     if ramp is not None:
         # After the ramp's end an output is one column further on.
         reached = ca.repmat(ca.DM(timeline.output_fractions).T * duration <= ramp, states.shape[0], 1)
@@ -419,23 +415,20 @@ def step(equation: Equation, width: int = 2, tableau: Tableau = DOP853) -> ca.Fu
     rates: list[ca.SX] = []
     first = equation.signals(at.start, state, given)
     mean, square = ca.SX.zeros(equation.count), ca.SX.zeros(equation.squared)
+
+    def moved(weights: Sequence[float]) -> ca.SX:
+        """Return the state after the step if its rate is the weighted sum of those so far."""
+        return sum(((size * part) * rate for part, rate in zip(weights, rates, strict=True) if part != 0.0), state)
+
     for row, node, weight in zip(tableau.stages, tableau.nodes, tableau.weights, strict=True):
-        stage = state
-        for coefficient, rate in zip(row, rates, strict=True):
-            if coefficient != 0.0:
-                stage = stage + (size * coefficient) * rate
-        time = at.start + node * size
+        time, stage = at.start + node * size, moved(row)
         rates.append(equation.rate(time, stage, given))
         if weight != 0.0:
             change = equation.signals(time, stage, given) - first
             mean += weight * change
             square += weight * change[: equation.squared] ** 2
-    following = state
-    for weight, rate in zip(tableau.weights, rates, strict=True):
-        if weight != 0.0:
-            following = following + (size * weight) * rate
     spread = square - mean[: equation.squared] ** 2
-    return ca.Function("step", [state, at.span, at.p], ca.cse([following, stacked(first + mean, spread)]))
+    return ca.Function("step", [state, at.span, at.p], ca.cse([moved(tableau.weights), stacked(first + mean, spread)]))
 
 
 def run_map(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:

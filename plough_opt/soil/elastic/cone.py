@@ -249,10 +249,6 @@ class ConePotentials(NamedTuple):
     n_r_change: Expression
     outward: Expression
 
-    def plus(self, other: ConePotentials, weight: Expression = 1.0) -> ConePotentials:
-        """Return the sum of these potentials and others multiplied by a weight."""
-        return ConePotentials(*(a + weight * b for a, b in zip(self, other, strict=True)))
-
     def where(self, condition: Expression, other: ConePotentials) -> ConePotentials:
         """Return these potentials where a condition holds, and the other ones elsewhere."""
         return ConePotentials(*(where(condition, a, b) for a, b in zip(self, other, strict=True)))
@@ -316,12 +312,11 @@ def potentials(
         soil: the medium.
         section_factor: S/R^2 [-].
     """
-    total = ConePotentials(*[0.0] * 6)
-    for segment in cone.segments:
-        place = (offsets[segment.start], offsets[segment.start + 1], r)
-        arguments = (*place, segment.length, *sources(segment, section_factor), *soil.in_order)
-        total = total.plus(ConePotentials(*_piece(*arguments)))
-    return total
+    pieces = [
+        _piece(x0, x1, r, piece.length, *sources(piece, section_factor), *soil.in_order)
+        for piece, x0, x1 in cone.pieces(offsets)
+    ]
+    return ConePotentials(*map(sum, zip(*pieces, strict=True)))
 
 
 @one_node
@@ -416,9 +411,9 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
             n_r_change=-r * ((1.0 - soil.kappa) / point.fast**3 + soil.eta**2 * cubed_change),
             outward=where(above, radial, side * _outward(point)),
         )
-        total = total.plus(kernel, share)
+        total = ConePotentials(*(a + share * b for a, b in zip(total, kernel, strict=True)))
     passed = _passed(first.x, last.x, length, source)
-    return total.plus(ConePotentials(0.0, 0.0, 0.0, 0.0, 0.0, where(above, -passed / r, 0.0)))
+    return total._replace(outward=total.outward + where(above, -passed / r, 0.0))
 
 
 def _passed(x0: Expression, x1: Expression, length: Expression, source: tuple[Expression, Expression]) -> Expression:
@@ -437,8 +432,5 @@ def _outward(point: _Point) -> Expression:
 
 def displaced(offsets: list[Expression], cone: Body, section_factor: Expression) -> Expression:
     """Return S(x) = section_factor R^2 [m^2] at distances from the nodes."""
-    total: Expression = 0.0
-    for segment in cone.segments:
-        place = offsets[segment.start], offsets[segment.start + 1]
-        total = total + _passed(*place, segment.length, sources(segment, section_factor))
-    return total
+    pieces = cone.pieces(offsets)
+    return sum(_passed(x0, x1, piece.length, sources(piece, section_factor)) for piece, x0, x1 in pieces)

@@ -1,7 +1,7 @@
 """Elastic soil, and profiles of the bodies that move in it."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final, TypeAlias
@@ -299,12 +299,14 @@ class Body:
         """Return the distances x - x_i from the nodes [m]."""
         return [x - place for place in self.places]
 
+    def pieces(self, offsets: Sequence[Expression]) -> Iterator[tuple[Segment, Expression, Expression]]:
+        """Return the straight pieces, each with the distances of a point from its two nodes, given those from all."""
+        return zip(self.segments, offsets[:-1], offsets[1:], strict=True)
+
     def height(self, x: Expression) -> Expression:
         """Return the half thickness or radius at x [m]; it is constant behind the last node."""
-        total: Expression = 0.0
-        for segment, offset in zip(self.segments, self.offsets(x), strict=False):
-            total = total + segment.slope * minimum(maximum(offset, 0.0), segment.length)
-        return total
+        pieces = self.pieces(self.offsets(x))
+        return sum(piece.slope * minimum(maximum(behind, 0.0), piece.length) for piece, behind, _ in pieces)
 
 
 def body(profile: Profile) -> Body:

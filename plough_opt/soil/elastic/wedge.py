@@ -119,10 +119,10 @@ class Potentials:
 
 def potentials(offsets: list[Expression], y: Expression, wedge: Body, soil: Medium) -> Potentials:
     """Return the potentials at given distances from the nodes and from the plane of symmetry, y >= 0."""
-    pieces = []
-    for segment in wedge.segments:
-        place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
-        pieces.append([segment.slope / math.pi * value for value in _piece(*place, *soil.in_order)])
+    pieces = [
+        [piece.slope / math.pi * value for value in _piece(x0, x1, y, piece.length, *soil.in_order)]
+        for piece, x0, x1 in wedge.pieces(offsets)
+    ]
     return Potentials(*map(sum, zip(*pieces, strict=True)))
 
 
@@ -236,12 +236,11 @@ def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soi
     """
     state = medium(soil, speed)
     offsets, y, side, wedge = _place(x, y, profile, state)
-    total: Expression = 0.0
-    for segment in wedge.segments:
-        place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
-        (shift,) = _shift(*place, *state.in_order)
-        total = total + segment.slope / math.pi * shift
-    return side * total
+    upper: Expression = sum(
+        piece.slope / math.pi * _shift(x0, x1, y, piece.length, *state.in_order)[0]
+        for piece, x0, x1 in wedge.pieces(offsets)
+    )
+    return side * upper
 
 
 @medium_law
@@ -279,10 +278,8 @@ def wedge_pressure(x: Expression, profile: Profile, soil: Soil, speed: Expressio
 
 def face_pressure(offsets: list[Expression], wedge: Body, soil: Medium) -> Expression:
     """Return the pressure on the face at distances from the nodes [Pa]."""
-    q: Expression = 0.0
-    for segment in wedge.segments:
-        (log,) = _face_log(offsets[segment.start], offsets[segment.start + 1], segment.length)
-        q = q + segment.slope / (2.0 * math.pi) * log
+    pieces = wedge.pieces(offsets)
+    q: Expression = sum(piece.slope / (2.0 * math.pi) * _face_log(x0, x1, piece.length)[0] for piece, x0, x1 in pieces)
     return -soil.shear_modulus * soil.rayleigh / soil.alpha * q
 
 
@@ -318,20 +315,17 @@ def _shift(
     m, kappa, alpha, eta, slowing = soil.m, soil.kappa, soil.alpha, soil.eta, soil.slowing
     product, change = alpha * eta * y**2, length * (x0 + x1)
 
-    def turn(x: Expression) -> Expression:
-        """Return the difference of the angles of x + i alpha y and x + i eta y, divided by m."""
-        return angle_difference(slowing * y * x, x**2 + product + _TINY, m)
+    def angle(x: Expression) -> Expression:
+        """Return that of -x + i alpha y, and twice the difference of those of x + i alpha y and x + i eta y over m."""
+        return arctan2(alpha * y, -x) + 2.0 * angle_difference(slowing * y * x, x**2 + product + _TINY, m)
 
     fast0, fast1, slow0, slow1 = (x**2 + (k * y) ** 2 + _TINY for k in (alpha, eta) for x in (x0, x1))
     log_fast = log_difference(fast0, fast1, change)
     log_change = log_difference(fast0 * slow1, slow0 * fast1, -(1.0 - kappa) * y**2 * change, m)
-    near_by = x0 * (arctan2(alpha * y, -x0) + 2.0 * turn(x0)) - x1 * (arctan2(alpha * y, -x1) + 2.0 * turn(x1))
+    near_by = x0 * angle(x0) - x1 * angle(x1)
     near_by = near_by + y * ((slowing - alpha / 2.0) * log_fast + eta * log_change)
-
-    from_far: Expression = 0.0
-    for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
-        x = x0 - node * length
-        from_far = from_far + weight * length * (arctan2(alpha * y, -x) + 2.0 * turn(x))
+    nodes = zip(*gauss_legendre(FAR_NODES), strict=True)
+    from_far = sum(weight * length * angle(x0 - node * length) for node, weight in nodes)
     far = sqrt(slow0) + sqrt(slow1) > FAR * length
     return (where(far, from_far, near_by),)
 
@@ -383,12 +377,12 @@ def _ends(symbolic: bool) -> Pair:
     return column(cells[:-1], symbolic), column(cells[1:], symbolic)
 
 
-def _over(half: _Half, first: Expression, last: Expression, integrand: Field) -> Expression:
-    """Return the integral along the face over parts of the cells, from first to last in tau."""
+def _over(half: _Half, first: Expression, last: Expression, pressure: Field, weight: Field) -> Expression:
+    """Return int p w dx along the face over parts of the cells, from first to last in tau."""
     value: Expression = 0.0
-    for node, weight in zip(*gauss_legendre(_ORDER), strict=True):
+    for node, share in zip(*gauss_legendre(_ORDER), strict=True):
         tau = first + (last - first) * node
-        value = value + weight * (last - first) * half.distance(tau) * integrand(half, tau)
+        value = value + share * (last - first) * half.distance(tau) * (pressure(half, tau) * weight(half, tau))
     return total(value)
 
 
@@ -403,7 +397,7 @@ def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Express
             turn = _root(along, (begin, end), (at_begin, at_end))
             turn = where((at_begin < 0.0) != (at_end < 0.0), turn, end)
             lost_from, lost_to = where(at_begin < 0.0, begin, turn), where(at_begin < 0.0, turn, end)
-            total = total - _over(half, lost_from, lost_to, lambda part, tau: pressure(part, tau) * weight(part, tau))
+            total = total - _over(half, lost_from, lost_to, pressure, weight)
     return total
 
 
@@ -558,9 +552,7 @@ def cone_force(
     def weight(half: _Half, tau: Expression) -> Expression:
         return 2.0 * math.pi * (half.segment.slope + soil.tool_friction) * half.height(tau)
 
-    force: Expression = 0.0
-    for half in _halves(face):
-        force = force + _over(half, *_ends(symbolic), lambda part, tau: pressure(part, tau) * weight(part, tau))
+    force: Expression = sum(_over(half, *_ends(symbolic), pressure, weight) for half in _halves(face))
     if separation:
         force = force + _lost(face, absolute_pressure, weight, symbolic)
     return force

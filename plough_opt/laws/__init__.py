@@ -10,7 +10,8 @@ from typing import Final
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import readable
-from plough_opt.laws.forces import ElasticMedium, PlasticGas, SphericalCavity
+from plough_opt.laws.cones import ElasticMedium, SphericalCavity
+from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.laws.tines import AsabeD497, McKyesAli, SwickPerumpral, Tine, UniversalEarthmoving
 

@@ -1,7 +1,4 @@
-"""Resistance to the equivalent cone by three laws: plastic gas, linear elastic medium, and Forrestal and Luk's cavity.
-
-Of the plastic gas these are equations (24)-(26), with the factor pi only once.
-"""
+"""Resistance of the plastic gas to a moving share: equations (24)-(26) with the factor pi only once, and as a law."""
 
 import math
 from collections.abc import Mapping
@@ -10,29 +7,22 @@ from typing import ClassVar
 
 import numpy as np
 
-from plough_opt.core.checks import check_domain, check_single, checked_in_designs, limited_in_designs, shown
+from plough_opt.core.checks import check_domain, check_single, checked_in_designs, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import (
     Expression,
     column,
-    cos,
     dot,
-    expm1_ratio,
     gauss_legendre,
     holds_casadi,
-    log,
-    sin,
-    sqrt,
 )
-from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
-from plough_opt.soil.elastic import cone_force
+from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.plastic import WallPressure, front, wall_pressure
 from plough_opt.soil.soil import CONE_HALF_ANGLE, Soil, check_soil
 
 # Height [m] of a penetrometer's standard cone, whose base is 323 mm^2; it matters only with a density profile.
 _STANDARD_HEIGHT = math.sqrt(323e-6 / math.pi) / math.tan(CONE_HALF_ANGLE)
-_CAVITY = "the spherical cavity (Forrestal-Luk)"
 
 
 @dataclass(frozen=True)
@@ -80,7 +70,7 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     )
 
 
-def _check(cone: Cone, soil: Soil) -> None:
+def check_cone(cone: Cone, soil: Soil) -> None:
     """Raise InputError if one has the wrong type; for a wedge the message points to its equivalent cone."""
     if not isinstance(cone, Cone):
         remedy = ": use its equivalent_cone()" if isinstance(cone, Wedge) else ""
@@ -93,7 +83,7 @@ def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
 
     Strength and rate are weighted with x and the inertia with x^2, as in the integral (24).
     """
-    _check(cone, soil)
+    check_cone(cone, soil)
     profile = soil.density_profile
     if profile is None:
         return wall_pressure(soil)
@@ -194,7 +184,7 @@ def loosened_radius(cone: Cone, soil: Soil) -> Expression:
         >>> round(float(po.loosened_radius(cone, soil)), 3) > 0.04
         True
     """
-    _check(cone, soil)
+    check_cone(cone, soil)
     return front(cone.height * cone.slope, soil)
 
 
@@ -290,217 +280,3 @@ class PlasticGas(ResistanceLaw):
             ["the equivalent cone's half angle is 40.1 deg"]
         """
         return (*at.soil.warnings(), *super().warnings(at))
-
-
-@dataclass(frozen=True)
-class ElasticMedium(ResistanceLaw):
-    """Linear elastic soil around the equivalent cone: `po.elastic.cone_force`, an order of magnitude.
-
-    It holds below the shear wave speed, for soil with Young's modulus and Poisson's ratio, and gives the contact force
-    of steady sliding: a scene must have ``Effects(motion=False)``. Strains on the face of a cone are of order one, so
-    neither the force nor its dependence on the speed is reliable. Its equations are those of a slender body in a
-    linear elastic medium. It has no arguments.
-
-    Raises:
-        DomainError: by `reaction`: the soil has no elastic constants, or the speed reaches that of shear waves.
-
-    Example:
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
-        >>> still = po.Effects(motion=False)
-        >>> law = po.laws.ElasticMedium()
-        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", still, medium=law)
-        >>> round(float(scene.steady_resistance) / 1e3, 2)
-        146.32
-    """
-
-    label = "the elastic medium"
-    lacking: ClassVar[Mapping[str, str]] = STEADY | {
-        "strength_wave": "has no strength and is solved for steady sliding only",
-        "added_mass": "carries no soil along",
-        "loosened_radius": "has no compaction front and loosens nothing",
-        "cone_index": "has no strength",
-        "entry": "is solved for steady sliding only",
-        "uncertain": "has no strength",
-        # The force follows from the gauge pressure; ambient pressure only maintains contact.
-        "ambient_pressure": "is computed in gauge pressure",
-    }
-    scalar = False
-    slender = True
-
-    def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return the contact force at the tow speed as F0 [N].
-
-        Raises:
-            DomainError: as `po.elastic.cone_force`.
-
-        Example:
-            >>> import plough_opt as po
-            >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
-            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
-            >>> round(float(po.laws.ElasticMedium().reaction(at).static) / 1e3, 1)
-            146.3
-        """
-        return SoilReaction(static=cone_force(at.cone, at.soil, at.speed))
-
-    def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
-        """Return a warning that the force is an order of magnitude, and those of the base class.
-
-        Example:
-            >>> import plough_opt as po
-            >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
-            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
-            >>> len(po.laws.ElasticMedium().warnings(at))
-            1
-        """
-        return (
-            "the elastic medium's force on a cone is an order of magnitude: strains on its face are of order one,"
-            " and its dependence on speed is not reliable",
-            *super().warnings(at),
-        )
-
-
-@dataclass(frozen=True)
-class SphericalCavity(ResistanceLaw):
-    """`spherical_cavity_draft` as a law: F0 and Fd of the equivalent cone, without added mass and loosened radius.
-
-    The pressure on a spherical cavity that grows behind a compaction front, after Forrestal and Luk, Int. J. Impact
-    Engineering 12 (1992) 427-444, derived anew in that form. It was made for projectiles; no test against tillage is
-    known. It holds while elastic strains at the front stay below 5 % and the front is slower than elastic waves, and
-    ignores working depth, the free surface and the shank. It has no arguments.
-
-    Raises:
-        DomainError: by `reaction`: see `spherical_cavity_draft`.
-
-    Example:
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
-        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.SphericalCavity())
-        >>> round(float(scene.steady_resistance) / 1e3, 2)
-        8.4
-    """
-
-    label = _CAVITY
-    source = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
-    standing = "derived anew in that form; made for projectiles, no test against tillage known"
-    lacking: ClassVar[Mapping[str, str]] = {
-        name: why for name, why in ResistanceLaw.lacking.items() if name not in ("entry", "ambient_pressure")
-    }
-
-    def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]: see `spherical_cavity_draft`.
-
-        Raises:
-            InputError, DomainError: as `spherical_cavity_draft`.
-
-        Example:
-            >>> import plough_opt as po
-            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
-            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
-            >>> round(float(po.laws.SphericalCavity().reaction(at).static) / 1e3, 2)
-            8.39
-        """
-        return _cavity_reaction(at.cone, at.soil, at.speed)
-
-
-@dataclass(frozen=True)
-class CavityPressure:
-    """Gauge pressure sigma - p_a = static + inertia rho0 V^2 on the wall of a cavity whose radius grows at speed V.
-
-    Attributes:
-        static: tau0 A [Pa].
-        inertia: B [-].
-        front_speed: speed of the compaction front relative to the undisturbed soil, over V [-].
-    """
-
-    static: Expression
-    inertia: Expression
-    front_speed: Expression
-
-
-def spherical_cavity(soil: Soil) -> CavityPressure:
-    """Return the pressure coefficients of a spherical cavity that grows steadily from radius 0.
-
-    Behind the front the soil locks at rho1 and satisfies sigma_r - sigma_t = lambda p + tau0, with the Mohr-Coulomb
-    values lambda = 6 sin(theta)/(3 - sin(theta)) and tau0 = 6 k cos(theta)/(3 - sin(theta)) + lambda p_a. Ahead of the
-    front it is incompressible: elastic if Young's modulus is given, else rigid. Source: the form of Forrestal and Luk
-    1992, derived anew; terms of the order of eta tau0/E differ from theirs.
-
-    Raises:
-        DomainError: tau0/2E exceeds 0.05, so that strains are not small.
-    """
-    check_soil(soil)
-    s, eta = sin(soil.friction_angle), 1.0 - soil.density_ratio
-    slope = 6.0 * s / (3.0 - s)
-    tau = 6.0 * soil.cohesion * cos(soil.friction_angle) / (3.0 - s) + slope * soil.ambient_pressure
-    alpha = 3.0 * slope / (3.0 + 2.0 * slope)
-    strain: Expression = 0.0
-    ahead: Expression = 0.0
-    if soil.youngs_modulus is not None:
-        strain, ahead = tau / (2.0 * soil.youngs_modulus), 2.0 / 3.0 * tau
-        check_domain("strain tau0/2E at the front", strain, at_most=0.05, why="the soil ahead is linear elastic")
-    cube = strain * (3.0 + strain * (3.0 + strain)) + eta  # (1 + strain)^3 - 1 + eta
-    g = cube ** (1.0 / 3.0)
-    x = (1.0 + strain) / g
-    grown = x ** (2.0 * alpha)
-    # Momentum balance across the front, and inertia of the elastic soil ahead of it.
-    jump = g / (1.0 + strain) ** 2 + 3.0 * strain / g**2
-    behind = 2.0 / soil.density_ratio * (_power(x, 2.0 * alpha - 1.0) - _power(x, 2.0 * alpha - 4.0))
-    return CavityPressure(
-        static=ahead * grown + tau * 6.0 / (3.0 + 2.0 * slope) * _power(x, 2.0 * alpha),
-        inertia=grown * jump + behind,
-        front_speed=1.0 / g,
-    )
-
-
-@limited_in_designs(_CAVITY)
-def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Expression:
-    """Return the draft [N] pi R^2 (tau0 A + B rho0 (V sin beta)^2)(1 + mu0 cot beta) of a cone, R = h tan(beta).
-
-    The face pushes the soil at V sin(beta) along its normal, as in penetration mechanics. Like this toolkit's own
-    model it ignores working depth, the free surface and the shank.
-
-    Args:
-        cone: the share's equivalent cone.
-        soil: the soil; its ambient pressure matters, although the force is that of the gauge pressure.
-        speed: V [m/s], at least 0.
-
-    Raises:
-        InputError: the cone is not a Cone.
-        DomainError: the speed is negative, elastic strains are large, or the front is as fast as elastic waves,
-            sqrt(E/rho0).
-
-    Example:
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> cone = po.Cone('10 deg', '25 cm')
-        >>> round(float(po.crosscheck.spherical_cavity_draft(cone, soil, 2.0)) / 1e3, 2)
-        7.47
-    """
-    return _cavity_reaction(cone, soil, speed).at(speed)
-
-
-def _cavity_reaction(cone: Cone, soil: Soil, speed: Expression) -> SoilReaction:
-    """Return static draft and coefficient of the squared speed; the speed itself is only checked."""
-    _check(cone, soil)
-    check_domain("speed", speed, "m/s", at_least=0.0)
-    cavity = spherical_cavity(soil)
-    along = sin(cone.half_angle)
-    if soil.youngs_modulus is not None:
-        check_domain(
-            "speed of the compaction front over sqrt(E/rho0)",
-            cavity.front_speed * speed * along / sqrt(soil.youngs_modulus / soil.density),
-            below=1.0,
-            why="elastic waves must run ahead of the front",
-        )
-    slope = cone.slope
-    face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
-    return SoilReaction(static=face * cavity.static, drag=face * cavity.inertia * soil.density * along**2)
-
-
-def _power(x: Expression, q: Expression) -> Expression:
-    """Return (x^q - 1)/q, which is log(x) at q = 0."""
-    length = log(x)
-    return length * expm1_ratio(q * length)

@@ -28,7 +28,7 @@ from plough_opt.laws import (
     Tine,
     UniversalEarthmoving,
 )
-from plough_opt.laws.forces import spherical_cavity_draft
+from plough_opt.laws.cones import spherical_cavity_draft
 from plough_opt.laws.tines import POINTS, TEXTURES, asabe_draft, godwin_draft, mckyes_ali_draft, swick_perumpral_draft
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import Wedge

@@ -19,7 +19,7 @@ from scipy.integrate import quad, solve_ivp
 
 import plough_opt as po
 from plough_opt.laws import LAWS
-from plough_opt.laws.forces import spherical_cavity, spherical_cavity_draft
+from plough_opt.laws.cones import spherical_cavity, spherical_cavity_draft
 from plough_opt.laws.tines import GRAVITY, POINTS, TEXTURES, draft_of_row, godwin_draft, rupture_angle, wedge_angles
 from plough_opt.studies.crosscheck import Tine, asabe_draft, compare, mckyes_ali_draft, swick_perumpral_draft
 

@@ -514,13 +514,12 @@ def c_source(model: FmuModel, *, pushes: bool, by_speed: bool) -> tuple[str, str
         pushes: whether the contact law lets soil push a retreating share; the FMU then logs a warning if it retreats.
         by_speed: whether the strut's speed is the input.
     """
-    runtime = (text_of(__package__, name) for name in ("fmu_runtime.c", "fmu_optional.c"))
     # CasADi's functions are static: only the runtime in the same source calls them.
     generator = ca.CodeGenerator("share.c", {"with_header": False, "main": False, "casadi_int": "long long"})
     for function in model.functions.values():
         generator.add(function)
     equations = f"#define CASADI_SYMBOL_EXPORT static\n{generator.dump()}"
-    parts = (_constants(model, pushes, by_speed), equations, *runtime)
+    parts = (_constants(model, pushes, by_speed), equations, text_of(__package__, "fmu_runtime.c"))
     # The token covers what is computed; names and units are in the description only.
     token = hashlib.sha256("".join(parts).encode()).hexdigest()[:32]
     return "\n".join((f'#define TOKEN "{token}"', *parts)), token

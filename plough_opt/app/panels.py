@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.expressions import as_number, sin
-from plough_opt.core.files import COLOURS
+from plough_opt.core.files import COLOURS, CONSTANT
 from plough_opt.core.units import Display
 from plough_opt.motion import Run
 from plough_opt.motion.equation import GAP, STICK, Structure, parameters
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
 SHARE, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
 """Colours in every picture: the share's motion and force, limits, the soil, and the strut."""
-CONSTANT: Final = 1e-6
-"""Relative change below which a result counts as constant: smaller changes are rounding."""
-
 # Frames per second.
 _RATE: Final = 15.0
 # Frames in a GIF, which keep it at about 2 MB.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from plough_opt.app.panels import LIMIT, SHARE, SOIL, changing, draw_panel, figure_of, limits_of, subject
 from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
-from plough_opt.core.files import COLOURS, save_figure
+from plough_opt.core.files import COLOURS, save_figure, scale_of
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import customary
 from plough_opt.design import Limit, LocalOptimum, Optimum
@@ -47,8 +47,6 @@ SIDE_BY_SIDE: Final = {"mount_force": "N", "deflection": "m"}
 _LEAST_ROOM = 0.02
 # Points in one panel: more would hide each other.
 _MOST_POINTS = 20_000
-# A variable whose largest value exceeds the smallest by more than this factor has a logarithmic axis.
-_LOG_RATIO = 20.0
 # Panels of the search in one row.
 _PANELS = 3
 # Colours of designs that fail a requirement, and of the share.
@@ -149,7 +147,7 @@ def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None
     every = [*ends, *(value for value in values if value is not None)]
     room = max(0.08 * (max(every) - min(every)), _LEAST_ROOM * max(map(abs, every))) or 1.0
     axes.set(ylim=(-1.0, 1.0), yticks=[], xlim=(min(every) - room, max(every) + room))
-    if limit.low is not None and limit.high is not None and 0.0 < 20.0 * limit.low < limit.high:
+    if len(ends) == 2 and scale_of(ends) == "log":
         axes.set(xscale="log", xlim=(0.8 * min(every), 1.25 * max(every)))
     axes.set_ylabel(limit.shown.heading(called(limit.name)), rotation=0, ha="right", va="center")
     axes.spines[["left", "right", "top"]].set_visible(False)
@@ -498,8 +496,7 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
         named = None if k > 1 else ("best" if k == 0 else "other local optima")
         axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=LIMIT, zorder=3,
                   markeredgecolor="white", label=named)  # fmt: skip
-    if np.min(values) > 0 and np.max(values) / np.min(values) > _LOG_RATIO:
-        axes.set_xscale("log")
+    axes.set_xscale(scale_of(values))
     _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
     axes.set_xlabel(display.heading(called(name)))
     if variable % _PANELS == 0:

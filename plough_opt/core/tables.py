@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TextIO, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, Final, TextIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -370,6 +370,21 @@ def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:
         (quoted if odd else plain).writerow(map(_shielded, row))
 
 
+def write_table(path: str | Path, rows: Iterable[Sequence[object]]) -> Path:
+    """Write rows into a CSV file by `write_rows`, one after the other: they need not fit into memory.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+
+    def write(file: IO[bytes]) -> None:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        write_rows(text, rows)
+        text.detach()  # flushes, and leaves the file open for `write_file`
+
+    return write_file(path, "table", write)
+
+
 def write_frame(path: str | Path, frame: pandas.DataFrame) -> Path:
     """Write a data frame with the units of its columns in their headings, as CSV or, by its ending, as a workbook.
 
@@ -385,9 +400,7 @@ def write_frame(path: str | Path, frame: pandas.DataFrame) -> Path:
         for row in rows:
             book.active.append([_shielded(cell) for cell in row])
         return write_file(path, "table", book.save)
-    text = io.StringIO()
-    write_rows(text, rows)
-    return write_file(path, "table", text.getvalue())
+    return write_table(path, rows)
 
 
 def _unshielded(cell: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, overload
@@ -14,10 +13,10 @@ import numpy as np
 
 from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InputError, listed
-from plough_opt.core.files import COLOURS, write_file, written
+from plough_opt.core.files import COLOURS, written
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin, Saveable, versions
-from plough_opt.core.tables import Column, Grid, Page, data_frame, write_rows
+from plough_opt.core.tables import Column, Grid, Page, data_frame, write_table
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff.front import ACROSS, Axis, FrontPoint, Hole, MissingPoint, knee, volume
@@ -412,9 +411,7 @@ class TradeOff(Saveable):
             slopes = (point.rate_of(*pair) for pair in self.pairs)
             last = (*(point.margins[name] for name in margins), "; ".join(point.active), point.branch)
             table.append([status, part, *numbers, *slopes, *last, point.residual, point.gap])
-        text = StringIO()
-        write_rows(text, table)
-        return write_file(path, "table", text.getvalue())
+        return write_table(path, table)
 
 
 def _table(front: TradeOff, everywhere: Sequence[str]) -> Grid:

@@ -19,6 +19,7 @@ import numpy as np
 
 from plough_opt.app.page_model import PageModel, design_model, frame_model, page_model, shown_in, without_random
 from plough_opt.app.panels import Panel, changing, deflection_of, force_of, gif, subject
+from plough_opt.app.tables import ROUNDING
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.checks import check_domain, path_of, whole_number
 from plough_opt.core.errors import InputError, NotConverged, listed
@@ -43,9 +44,6 @@ from plough_opt.soil.geometry import Solid, Wedge
 if TYPE_CHECKING:
     from plough_opt.studies.tradeoff import TradeOff
     from plough_opt.studies.tradeoff.front import FrontPoint
-
-# Elasticities, and margins in SI units, below this are rounding.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -139,8 +137,8 @@ def limits_of(problem: Problem, name: str) -> str:
 
 def margin_of(limit: Limit) -> tuple[float, float]:
     """Return the margin of a requirement without its rounding, and as a part of the limit."""
-    margin = 0.0 if limit.active or abs(limit.margin) < _ROUNDING else limit.margin
-    return margin, margin / max(abs(limit.value), abs(limit.value + margin), _ROUNDING)
+    margin = 0.0 if limit.active or abs(limit.margin) < ROUNDING else limit.margin
+    return margin, margin / max(abs(limit.value), abs(limit.value + margin), ROUNDING)
 
 
 def response(report: Report) -> Grid:
@@ -257,7 +255,7 @@ def soil(report: Report) -> Grid:
 
 def sensitivities(report: Report) -> list[Sensitivity]:
     """Return the sensitivities to each quantity or limit that changes the objective, the largest first."""
-    return [one for one in report.sensitivities if one.elasticity is not None and abs(one.elasticity) > _ROUNDING]
+    return [one for one in report.sensitivities if one.elasticity is not None and abs(one.elasticity) > ROUNDING]
 
 
 def moves(one: Sensitivity) -> str:
@@ -265,7 +263,7 @@ def moves(one: Sensitivity) -> str:
     return ", ".join(
         f"{called(name)} {elasticity:+.2g}\u00a0%"
         for name, elasticity in one.elasticities.items()
-        if elasticity is not None and abs(elasticity) > _ROUNDING
+        if elasticity is not None and abs(elasticity) > ROUNDING
     )
 
 

@@ -51,8 +51,6 @@ _MEASURE_EXAMPLES = '"expected", "mean + 2 std", "cvar 0.9", "worst" or "nominal
 _TAILS = ("cvar", "worst")
 # Smoothing width of nonsmooth measures, in standard deviations of the result over the samples.
 _SMOOTHING_WIDTH = 0.5
-# A smaller relative spread is rounding, and the result does not depend on the soil.
-_ROUNDING = 1e-9
 # Samples for the Sobol indices.
 _INDEX_SAMPLES = 1024
 
@@ -380,11 +378,10 @@ class _RobustDesign:
 
     def spreads(self, at: Mapping[str, float]) -> dict[str, float]:
         """Return the standard deviation of every result at a design, 0 if it does not depend on the soil."""
+        from plough_opt.studies.uncertainty.robust import varies
+
         values = self._robust.values(at)
-        return {
-            name: float(np.std(own)) if np.ptp(own) > _ROUNDING * np.max(np.abs(own)) else 0.0
-            for name, own in values.items()
-        }
+        return {name: float(np.std(own)) if varies(own) else 0.0 for name, own in values.items()}
 
     def build(self, spreads: Spreads) -> tuple[Design, Robust, frozenset[str]]:
         """Return the design, the results over the samples, and the names of results smoothed by their spread.

@@ -24,7 +24,7 @@ from plough_opt.design import Optimum
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.studies.uncertainty.distribution import SoilDistribution
-from plough_opt.studies.uncertainty.robust import Check, Robust, Verification, in_words, varies
+from plough_opt.studies.uncertainty.robust import CONFIDENCE, Check, Robust, Verification, in_words, varies
 
 if TYPE_CHECKING:
     import pandas
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_CONFIDENCE = 0.95
 _RESAMPLES = 200
 
 
@@ -155,7 +154,7 @@ def sobol_indices(
 
     # The bootstrap of SciPy's own result has no seed.
     every = np.arange(samples)
-    ends = stats.bootstrap([every], indices, n_resamples=_RESAMPLES, confidence_level=_CONFIDENCE, vectorized=False,
+    ends = stats.bootstrap([every], indices, n_resamples=_RESAMPLES, confidence_level=CONFIDENCE, vectorized=False,
                            method="percentile", rng=generator).confidence_interval  # fmt: skip
     values = {"": indices(every), "_low": ends.low, "_high": ends.high}
     columns = {f"{kind}{side}": value[k] for side, value in values.items() for k, kind in enumerate(("first", "total"))}

@@ -131,6 +131,11 @@ class Measurements(ByValue):
         return len(self.values)
 
     @property
+    def direct(self) -> bool:
+        """Whether a quantity of the scene was measured, and not a result."""
+        return self.result not in measurable()
+
+    @property
     def counted(self) -> NDArray[np.bool_]:
         """Mask of the rows that are not left out by a weight of 0."""
         return np.full(self.rows, True) if self.weights is None else self.weights > 0.0
@@ -187,7 +192,7 @@ class Measurements(ByValue):
 
     def _check_columns(self) -> None:
         """Raise InputError if numbers are outside their domains, or if the columns do not go together."""
-        if self.result in measurable() and self.result != RECORD:
+        if not self.direct and self.result != RECORD:
             self._check_rows(self.result, self.values, self.values < 0.0, "at least 0: forces count against the travel")
         if self.sigma is not None:
             self._check_rows("sigma", self.sigma, self.sigma <= 0.0, "above 0: it is a standard deviation")
@@ -318,6 +323,8 @@ SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]
 _DURATION = "scene.duration"
 # An unknown whose bounds have at least this ratio is scaled logarithmically.
 _LOG_RATIO = 10.0
+# Assumed standard deviation of a direct measurement of an unknown, as a part of the distance of its bounds.
+_DIRECT_ERROR: Final = 0.05
 
 
 @runtime_checkable
@@ -341,6 +348,10 @@ class Described(Protocol):
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
         """Return the scene with changed values of some quantities."""
+
+
+Given: TypeAlias = Described | Scene | SceneOf
+"""What a calibration takes as its model."""
 
 
 @dataclass(frozen=True)
@@ -379,6 +390,11 @@ class Unknown:
         why = "its bounds make its scale logarithmic" if self.log else ""
         check_domain(what, read, self.unit, above=0.0 if self.log else -np.inf, why=why)
         return plain_number(what, read)
+
+    @property
+    def direct_error(self) -> float:
+        """Standard deviation that is assumed for a direct measurement."""
+        return _DIRECT_ERROR * (self.upper - self.lower)
 
     def slope(self, y: float) -> float:
         """Return the derivative of the quantity by its scaled value."""
@@ -435,7 +451,7 @@ class CalibrationModel:
 
 
 def model_of(
-    given: Described | Scene | SceneOf, duration: float | None, unknown: Mapping[str, Any] | None, columns: Set[str]
+    given: Given, duration: float | None, unknown: Mapping[str, Any] | None, columns: Set[str]
 ) -> CalibrationModel:
     """Return the model of a problem, a scene or a function.
 
@@ -551,11 +567,6 @@ class Rows:
         distinct, which = np.unique(np.column_stack(columns), axis=0, return_inverse=True)
         return distinct[:, 1:], which.ravel()
 
-    @property
-    def direct(self) -> bool:
-        """Whether an unknown was measured directly."""
-        return self.measured.result not in measurable()
-
     def scenes(self, y: Sequence[Expression] | Array) -> list[SceneOfRows]:
         """Return the distinct scenes at scaled unknowns, with their durations and rows.
 
@@ -563,7 +574,7 @@ class Rows:
             InputError: the conditions of a row are outside the model's domain.
         """
         scenes = []
-        for number, conditions in enumerate([] if self.direct else self._distinct[0].tolist()):
+        for number, conditions in enumerate([] if self.measured.direct else self._distinct[0].tolist()):
             rows = np.flatnonzero(self._distinct[1] == number)
             values = self.model.values(y) | dict(zip(self.measured.conditions, conditions, strict=True))
             try:
@@ -582,7 +593,7 @@ class Rows:
         Raises:
             InputError: the conditions of a row are outside the model's domain, or the duration is missing.
         """
-        if self.direct:
+        if self.measured.direct:
             values: dict[str, Column] = {**self.model.values(ca.vertsplit(y))}
             value = ca.MX.ones(self.measured.rows) * values[self.measured.result]
             return value, ca.jacobian(value, y), True

@@ -24,15 +24,7 @@ import numpy as np
 from plough_opt.core.checks import check_choice
 from plough_opt.core.compiler import NOT_FOUND, compile_library, find_compiler
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import (
-    Column,
-    as_number,
-    is_casadi,
-    is_quantity,
-    is_symbolic,
-    map_expressions,
-    template_of,
-)
+from plough_opt.core.expressions import as_number, is_casadi, is_quantity, is_symbolic, map_expressions, template_of
 from plough_opt.core.files import check_file, text_of, write_file
 from plough_opt.core.quantities import BESIDE, EVERY
 from plough_opt.core.units import registry
@@ -292,7 +284,7 @@ def _with_symbols(part: Any) -> tuple[Any, list[tuple[float, ca.SX]]]:
     return template, [*zip(map(float, values), template_of(template)[1], strict=True)]
 
 
-def _varying(share: DrivenShare, scene: Scene, given: ca.SX) -> dict[str, Mapping[FmuVariable, Column]]:
+def _varying(share: DrivenShare, scene: Scene, given: ca.SX) -> dict[str, Mapping[FmuVariable, Any]]:
     """Return, by kind, the variables that change during a run with their expressions.
 
     Args:

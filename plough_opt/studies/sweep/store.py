@@ -325,14 +325,8 @@ class Store:
         if self._connection.in_transaction:  # Ctrl-C interrupted the last one before its first statement or its commit
             self.run("ROLLBACK")
         self.run("BEGIN IMMEDIATE")
-        try:
+        with self._naming_errors(), self._connection:
             yield
-        except BaseException:
-            # A full disk may already have ended the transaction.
-            with contextlib.suppress(InputError):
-                self.run("ROLLBACK")
-            raise
-        self.run("COMMIT")
 
     @contextlib.contextmanager
     def _naming_errors(self) -> Iterator[None]:

@@ -198,13 +198,10 @@ def explore(options: argparse.Namespace) -> None:
     Raises:
         InputError: as `report`.
     """
-    from plough_opt.app.report import write_page
+    from plough_opt.app.report import page_of_command
 
-    optional("jinja2")  # before anything is read
     target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
-    problem = read(options)
-    with progress() as notify:
-        path = write_page(problem, target, notify, seed=options.seed)
+    _, path = page_of_command(options, target)
     if options.json:
         print(_json({"wrote": [str(path)]}))
     elif options.output is None:

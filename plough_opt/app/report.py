@@ -546,15 +546,19 @@ def report(options: argparse.Namespace) -> None:
         InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, or the page
             cannot be written.
     """
-    optional("jinja2")  # before anything is read
-    target = check_file(options.output, "page", ".html")
-    problem = read(options)
-    with progress() as notify:
-        path = write_page(problem, target, notify, seed=options.seed)
+    problem, path = page_of_command(options, check_file(options.output, "page", ".html"))
     if options.json:
         told = {"wrote": [str(path)], "provenance": _provenance(problem, options.seed)}
         print(json.dumps(told, indent=2, allow_nan=False))
     wrote(path)
+
+
+def page_of_command(options: argparse.Namespace, target: Path) -> tuple[Problem, Path]:
+    """Write the page of a command's file; return the problem, and the page's path."""
+    optional("jinja2")  # before anything is read
+    problem = read(options)
+    with progress() as notify:
+        return problem, write_page(problem, target, notify, seed=options.seed)
 
 
 def explore(
@@ -587,6 +591,7 @@ def explore(
         >>> import plough_opt as po
         >>> po.explore("problems/cotton_subsoiler.toml", "out/cotton.html")  # doctest: +SKIP
     """
+    optional("jinja2")
     target = check_file(path_of("the page", path), "page", ".html")
     whole_number("seed", seed)
     if isinstance(question, Scene):
@@ -595,7 +600,6 @@ def explore(
     elif duration is not None:
         raise InputError("only a scene needs a duration: leave it out, or change the problem or design")
     elif isinstance(question, Design):
-        optional("jinja2")
         model = design_model(question)
         return write_file(
             target, "page", design_page(question.solve(seed=seed), model, "A design of Python", _made(seed))
@@ -607,7 +611,6 @@ def explore(
 
 def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> Path:
     """Write the page of a problem; return its path. ``notify`` is told the present step and the fraction done."""
-    optional("jinja2")
     _check(problem)
     if problem.shares:
         model = frame_model(problem)  # refused, if at all, before the search

@@ -46,7 +46,7 @@ from plough_opt.design.model.nlp import averages_only, split
 from plough_opt.design.model.optimality import decides, newton_step, symmetric
 from plough_opt.design.model.program import Program
 from plough_opt.design.search.effort import Search
-from plough_opt.design.search.explore import silent
+from plough_opt.design.search.explore import notifier
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers.integrators import integration
@@ -363,7 +363,7 @@ def study_accuracy(
         0.1
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
-    _check(wanted, title, progress, derivatives=derivatives, thin=thin)
+    _check(wanted, title, derivatives=derivatives, thin=thin)
     if holds_casadi(scene):
         scene = map_expressions(scene, lambda value: float(as_number(value)))
     check_domain("time allowed to a method", plain_number("allowance", allowance), "s", above=0.0)
@@ -372,7 +372,7 @@ def study_accuracy(
     if scene.effects.orbit != "transient":
         scene = replace(scene, effects=replace(scene.effects, orbit="periodic"))
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
-    entries, floors, notes = _contests(task, progress or silent, derivatives=derivatives)
+    entries, floors, notes = _contests(task, notifier(progress), derivatives=derivatives)
     defaults = {MOTION: (AUTO, f"error {DEFAULT_ERROR:.0e}"), DERIVATIVES: (AUTO, "default")}
     return AccuracyStudy(title, duration, wanted, tuple(entries), floors, tuple(notes), defaults, _versions())
 
@@ -416,9 +416,9 @@ def study_design(
         >>> study = po.study_design(design, thin=True)  # doctest: +SKIP
     """
     check_kind("the design", design, Design, "a Design")
-    _check(wanted, title, progress, thin=thin)
+    _check(wanted, title, thin=thin)
     check_domain("time allowed to a search", plain_number("limit", limit), "s", above=0.0)
-    trials = search_trials(design, limit=limit, thin=thin, progress=progress or silent)
+    trials = search_trials(design, limit=limit, thin=thin, progress=notifier(progress))
     best = min((optimum for trial in trials for optimum in trial.found), key=ranked_value)
     entries, floors, notes = list[MethodResult](), dict[str, float](), list[str]()
     try:
@@ -486,11 +486,9 @@ def _versions() -> dict[str, str]:
     return {**versions(), "scipy": version("scipy"), **machine}
 
 
-def _check(wanted: float, title: str, progress: Progress | None, **switches: bool) -> None:
+def _check(wanted: float, title: str, **switches: bool) -> None:
     """Raise InputError or DomainError if an argument has the wrong type or the wanted error is out of range."""
     check_text("title", title)
-    if progress is not None:
-        check_callable("progress", progress, "of what is being done and the fraction done")
     for name, value in switches.items():
         check_switch(name, value)
     check_domain("wanted error", plain_number("wanted", wanted), at_least=1e-15, at_most=0.1)

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, whole_number
+from plough_opt.core.checks import check_kind, check_switch, check_text, mapping_of, whole_number
 from plough_opt.core.errors import Counted, InputError, NotConverged, count, counted, listed
 from plough_opt.core.expressions import Expression
 from plough_opt.core.plain_data import Array
@@ -19,7 +19,7 @@ from plough_opt.design.confirmation import curvatures_at
 from plough_opt.design.model.ipopt import Point
 from plough_opt.design.model.optimality import PULLS, decides
 from plough_opt.design.search.effort import Search
-from plough_opt.design.search.explore import silent
+from plough_opt.design.search.explore import notifier
 from plough_opt.motion.solvers.checks import remarks
 from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Tracer
 from plough_opt.studies.tradeoff.front import Axis, FrontCandidate, FrontPoint, Goal, Hole, MissingPoint
@@ -352,10 +352,7 @@ def trade_off(
     check_switch("compiled", compiled)
     check_text("title", title)
     parameters = mapping_of("parameters", parameters, "name -> value")
-    if progress is not None:
-        check_callable("progress", progress, "of what is being done and the fraction done")
-    goals = _goals((first, second, *others))
-    notify = progress or silent
+    notify, goals = notifier(progress), _goals((first, second, *others))
     notify("building the model", 0.0)
     front = _built(design, goals, compiled)
     front.prepare(front.declared.parameter_values(parameters))

@@ -243,7 +243,7 @@ def sweep(options: argparse.Namespace) -> None:
         found = plan.run(
             store=store, executor=executor, workers=workers or options.workers, progress=not quiet(), **rest
         )
-    try:
+    with found:
         give(options, found.page(), found.to_json, found.plot, found.to_dataframe, found.to_csv)
         if options.npz is not None:
             wrote(found.to_npz(options.npz))
@@ -252,8 +252,6 @@ def sweep(options: argparse.Namespace) -> None:
         if undetermined := len(list(found.undetermined)):
             lost = f"{undetermined} of {len(found)} points are undetermined, because workers ended while computing them"
             raise NotConverged(f"{lost}; run the same command with --retry to repeat them", "undetermined")
-    finally:
-        found.close()
 
 
 def _over(options: argparse.Namespace) -> dict[str, object]:

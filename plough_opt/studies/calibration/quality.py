@@ -315,17 +315,9 @@ def caveats(fit: Estimate) -> tuple[str, ...]:
     """Return the warnings about a fit."""
     at_fit = [rows.scenes(fit.y) for rows in fit.setup.rows]
     scenes = [scene for of_set in at_fit for scene, _, _ in of_set]
-    of_fit = (
-        _scatter_notes,
-        _scale_notes,
-        _error_notes,
-        _outlier_notes,
-        _correlation_notes,
-        _bound_notes,
-        _optima_notes,
-    )
-    of_scenes = (*_accuracy_notes(fit, at_fit), *_bluntness_notes(scenes), *_pressure_notes(fit, scenes))
-    return (*(note for notes_of in of_fit for note in notes_of(fit)), *of_scenes)
+    of_scatter = (*_scatter_notes(fit), *_scale_notes(fit), *_error_notes(fit), *_outlier_notes(fit))
+    of_fit = (*of_scatter, *_correlation_notes(fit), *_bound_notes(fit), *_optima_notes(fit))
+    return (*of_fit, *_accuracy_notes(fit, at_fit), *_bluntness_notes(scenes), *_pressure_notes(fit, scenes))
 
 
 def _scatter_notes(fit: Estimate) -> Iterator[str]:

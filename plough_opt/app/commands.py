@@ -21,7 +21,7 @@ from plough_opt.app.terminal import LOG, check_outputs, console, give, progress,
 from plough_opt.core.compiler import cache_folder
 from plough_opt.core.errors import InputError, NotConverged, printable
 from plough_opt.core.files import check_file, drawn, write_new
-from plough_opt.core.plain_data import to_plain
+from plough_opt.core.plain_data import json_text, to_plain
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.saving import Origin, is_store, load
@@ -59,7 +59,7 @@ def init(options: argparse.Namespace) -> None:
         raise InputError(f"'{options.file}' cannot be written: create its folder first, or choose another place")
     path = write_new(options.file, "problem file", template())
     if options.json:
-        print(_json({"wrote": [str(path)]}))
+        print(json_text({"wrote": [str(path)]}))
         return
     line = f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}"
     console().print(line, soft_wrap=True)
@@ -72,16 +72,12 @@ def soils(options: argparse.Namespace) -> None:
     properties = [{**dataclasses.asdict(soil), "cone_index": cone_index(soil)} for soil in found]
     units = {one.key: one.unit for one in QUANTITIES.values() if one.owner == "soil"} | {"cone_index": "Pa"}
     columns = {key: [one[key] for one in properties] for key in properties[0]}
-    give(options, tables.soils_page(found), lambda: _json(properties), frame=lambda: data_frame(columns, units))
-
-
-def _json(plain: object) -> str:
-    return json.dumps(plain, indent=2, allow_nan=False)
+    give(options, tables.soils_page(found), lambda: json_text(properties), frame=lambda: data_frame(columns, units))
 
 
 def schema(_options: argparse.Namespace) -> None:
     """Print the JSON schema of problem files."""
-    print(_json(file_schema()))
+    print(json_text(file_schema()))
 
 
 def check(options: argparse.Namespace) -> None:
@@ -113,7 +109,7 @@ def check(options: argparse.Namespace) -> None:
         comparison = compare(problem.scene(), **against)
         page = dataclasses.replace(page, parts=(*page.parts, *tables.comparison_parts(problem, comparison)))
         plain["comparison"], plot, frame = to_plain(comparison), comparison.plot, comparison.to_dataframe
-    give(options, page, lambda: _json(plain), plot, frame)
+    give(options, page, lambda: json_text(plain), plot, frame)
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -203,7 +199,7 @@ def explore(options: argparse.Namespace) -> None:
     target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
     _, path = page_of_command(options, target)
     if options.json:
-        print(_json({"wrote": [str(path)]}))
+        print(json_text({"wrote": [str(path)]}))
     elif options.output is None:
         webbrowser.open(f"{path.resolve().as_uri()}#explore")
     wrote(path)
@@ -320,7 +316,7 @@ def export(options: argparse.Namespace) -> None:
     written = chosen.write(request)
     if options.json:
         paths = [str(path) for path in written.paths]
-        print(_json({"wrote": paths, "says": written.said, "next": written.next}))
+        print(json_text({"wrote": paths, "says": written.said, "next": written.next}))
         return
     if written.said:
         console().print(written.said, soft_wrap=True)
@@ -425,7 +421,7 @@ def compare(options: argparse.Namespace) -> None:
     notes = tuple(f"{name}: {origins[name].file}, changed by --set: {text}" for name, text in changed.items())
     page = Page(f"{len(saved)} results side by side", (_table(saved, numbers), *notes))
     plain = {name: {key: value for key, (value, _) in own.items()} for name, own in numbers.items()}
-    give(options, page, lambda: _json(plain), lambda: _figure(saved), lambda: _frame(plain))
+    give(options, page, lambda: json_text(plain), lambda: _figure(saved), lambda: _frame(plain))
 
 
 def _frame(numbers: Mapping[str, Mapping[str, float]]) -> Any:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from plough_opt.app.main import RECORDED_SHARE, RIG, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, give, progress, read
 from plough_opt.core.errors import InputError, NotConverged, nearest
+from plough_opt.core.plain_data import json_text
 from plough_opt.core.quantities import quantities, wave_table
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import customary
@@ -55,7 +56,7 @@ def calibrate(options: argparse.Namespace) -> None:
         held = _held_out(fit, options) if options.hold_out is not None else None
         text = fit.to_json() if options.json or options.output is not None else ""
         if held is not None and text:
-            text = json.dumps(json.loads(text) | {"held_out": held.plain()}, indent=2, allow_nan=False)
+            text = json_text(json.loads(text) | {"held_out": held.plain()})
         quality = "" if options.json else _quality(fit, options.folds)
         page = fit.page()
     more = (quality, held.words() if held is not None else "")
@@ -144,8 +145,7 @@ def waves(options: argparse.Namespace) -> None:
     rig = given_quantities(options, RIG)
     record = read_strength_record(options.file, _rig(rig), tow_speed=rig.get("tow_speed"))
     found = strength_waves(record, options.part, **given_quantities(options, RECORDED_SHARE))
-    text = json.dumps(_plain(found), indent=2, allow_nan=False)
-    give(options, _page(found), lambda: text, found.plot, lambda: _frame(found))
+    give(options, _page(found), lambda: json_text(_plain(found)), found.plot, lambda: _frame(found))
 
 
 def _frame(found: RecordWaves) -> Any:

@@ -9,7 +9,6 @@ continues when it is started again).
 import argparse
 import contextlib
 import io
-import json
 import os
 import re
 import sys
@@ -462,10 +461,10 @@ def _give_conflicts(options: argparse.Namespace, error: InfeasibleDesign) -> Non
     """Print the conflicts of an infeasible design as JSON under --json, and write them with --output."""
     from plough_opt.app.terminal import messages, wrote
     from plough_opt.core.files import write_file
-    from plough_opt.core.plain_data import to_plain
+    from plough_opt.core.plain_data import json_text, to_plain
 
     plain = {"kind": "infeasible design", "message": str(error), **to_plain(vars(error))}
-    text = json.dumps(plain, indent=2, allow_nan=False)
+    text = json_text(plain)
     if options.json:
         print(text)
     if hasattr(options, "by_pandas") and options.output is not None:  # other commands write no JSON there

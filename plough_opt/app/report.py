@@ -6,7 +6,6 @@ The contents come first, section by section: texts, tables, and the data of the 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,6 +24,7 @@ from plough_opt.core.checks import check_domain, path_of, whole_number
 from plough_opt.core.errors import InputError, NotConverged, listed
 from plough_opt.core.expressions import as_number
 from plough_opt.core.files import COLOURS, check_file, text_of, write_file
+from plough_opt.core.plain_data import json_text
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import versions
@@ -548,8 +548,7 @@ def report(options: argparse.Namespace) -> None:
     """
     problem, path = page_of_command(options, check_file(options.output, "page", ".html"))
     if options.json:
-        told = {"wrote": [str(path)], "provenance": _provenance(problem, options.seed)}
-        print(json.dumps(told, indent=2, allow_nan=False))
+        print(json_text({"wrote": [str(path)], "provenance": _provenance(problem, options.seed)}))
     wrote(path)
 
 

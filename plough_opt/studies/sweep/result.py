@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import re
 import weakref
 import zipfile
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError, counted
 from plough_opt.core.files import COLOURS, CONSTANT, figure_with_panels, scale_of, write_file, written
-from plough_opt.core.plain_data import Array
+from plough_opt.core.plain_data import Array, json_text
 from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame, write_table
@@ -329,7 +328,7 @@ class Sweep(Readable):
             "units": self.units, "results": ranges, **lost, "notes": self.notes, "question": self.question,
             "store": None if self.path is None else str(self.path),
         }  # fmt: skip
-        return json.dumps(summary, indent=2, allow_nan=False)
+        return json_text(summary)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each point: quantities and results in SI units, NaN where there are no results.

@@ -129,13 +129,8 @@ def optimise(options: argparse.Namespace) -> None:
         _optimise_robust(problem, options)
         return
     with progress() as notify:
-        best, run = problem.optimise(
-            notify,
-            parameters=options.sensitivity,
-            search=_search_of(options.search),
-            judge=options.judge,
-            seed=options.seed,
-        )
+        how: dict[str, Any] = {"search": _search_of(options.search), "judge": options.judge, "seed": options.seed}
+        best, run = problem.optimise(notify, parameters=options.sensitivity, **how)
         found = tables.sensitivities_of(best, notify) if options.sensitivity else ()
     best = dataclasses.replace(best, sensitivities=found)
     page = best.page()

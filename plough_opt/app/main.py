@@ -86,7 +86,7 @@ RIG: Final = {
 """Options that describe the rig of a strength record."""
 
 RECORDED_SHARE: Final = {
-    "base-diameter": QuantityOption("m", "0.136 m", "base diameter of the share, over which strength is averaged"),
+    "base-diameter": QuantityOption("m", "0.136 m", "base diameter of the share, over which strength is averaged")
 }
 """Options that describe the share whose strength waves are wanted."""
 

@@ -117,9 +117,8 @@ def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
     figure = figure_of(8, 0.9 + 0.75 * len(first.limits))
     rows = figure.subplots(len(first.limits), 1, squeeze=False)[:, 0]
     for axes, limit in zip(rows, first.limits, strict=True):
-        _draw_limit(
-            axes, limit, [next((x for x in one.limits if x.name == limit.name), None) for one in designs.values()]
-        )
+        found = (next((x for x in one.limits if x.name == limit.name), None) for one in designs.values())
+        _draw_limit(axes, limit, [*found])
     for name, colour in zip(designs, itertools.cycle(COLOURS), strict=False):
         rows[0].plot([], [], "o", color=colour, label=name)
     figure.legend(loc="outside lower center", ncols=min(4, len(designs)), fontsize="small")

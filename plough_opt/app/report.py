@@ -260,11 +260,8 @@ def sensitivities(report: Report) -> list[Sensitivity]:
 
 def moves(one: Sensitivity) -> str:
     """Return in words what one per cent more does to the variables."""
-    return ", ".join(
-        f"{called(name)} {elasticity:+.2g}\u00a0%"
-        for name, elasticity in one.elasticities.items()
-        if elasticity is not None and abs(elasticity) > ROUNDING
-    )
+    moved = [(name, x) for name, x in one.elasticities.items() if x is not None and abs(x) > ROUNDING]
+    return ", ".join(f"{called(name)} {x:+.2g}\u00a0%" for name, x in moved)
 
 
 def accuracy(report: Report) -> Grid:
@@ -394,10 +391,8 @@ def motion(run: Run) -> dict[str, Any]:
     if not changing(run):
         return {}
     path = np.asarray(run.travel) + np.asarray(run.deflection)
-    waves = [
-        {"amplitude": float(wave.amplitude), "wavelength": float(wave.wavelength), "phase": float(wave.phase)}
-        for wave in scene.effects.waves
-    ]
+    of_wave = ("amplitude", "wavelength", "phase")
+    waves = [{name: float(getattr(wave, name)) for name in of_wave} for wave in scene.effects.waves]
     length = run.origin.common("m", {"deflection": run.peak_deflection})
     return {
         "time": _short(run.time),
@@ -449,7 +444,8 @@ def page(report: Report) -> str:
         model = page_model(report.problem)
     except InputError as refusal:
         why = str(refusal)
-    shown = data(report) | {"model": model and explored(report, model)}
+    drawn = {"charts": charts(report), "bodies": bodies(report), "front": front(report), "motion": motion(report.run)}
+    shown = drawn | {"model": model and explored(report, model)}
     return _rendered("page.html", report=report, c=_CONTENT, data=shown, model=model, why=why)
 
 
@@ -521,16 +517,6 @@ def _rendered(name: str, **values: Any) -> str:
     return text
 
 
-def data(report: Report) -> dict[str, Any]:
-    """Return the data that the page's scripts draw."""
-    return {
-        "charts": charts(report),
-        "bodies": bodies(report),
-        "front": front(report),
-        "motion": motion(report.run),
-    }
-
-
 def asset(name: str) -> str:
     """Return the text of one of the files that make up the page."""
     return text_of("plough_opt.app", f"assets/{name}")
@@ -600,9 +586,8 @@ def explore(
         raise InputError("only a scene needs a duration: leave it out, or change the problem or design")
     elif isinstance(question, Design):
         model = design_model(question)
-        return write_file(
-            target, "page", design_page(question.solve(seed=seed), model, "A design of Python", _made(seed))
-        )
+        text = design_page(question.solve(seed=seed), model, "A design of Python", _made(seed))
+        return write_file(target, "page", text)
     else:
         known = question if isinstance(question, Problem) else read_problem(question)
     return write_page(known, target, lambda *_: None, seed=seed)

@@ -241,13 +241,7 @@ def _evaluation(
 def _question(problem: Problem, axes: Mapping[str, Axis], what: What, how: str) -> dict[str, str]:
     """Return name -> text of every setting and quantity that the results depend on."""
     table = problem.table.model_dump(exclude={"title", "variables", "minimise", "require", "trade_off"})
-    found: dict[str, Any] = {
-        "what": what,
-        "computed": how,
-        **_flat(table),
-        **problem.values(),
-        "course": problem.course,
-    }
+    found = {"what": what, "computed": how, **_flat(table), **problem.values(), "course": problem.course}
     if what == "optimise":
         chosen = problem.table.model_dump(include={"variables", "minimise", "require"})
         chosen["variables"] = {name: one for name, one in chosen["variables"].items() if name not in axes}
@@ -460,12 +454,8 @@ def _columns(problem: Problem, scene: Scene) -> dict[str, Measure]:
 
 def _of_run(problem: Problem, run: Run) -> dict[str, float]:
     """Return the results of a numeric run that become columns of a sweep."""
-    return {
-        **{name: float(one.of(run)) for name, one in _columns(problem, run.scene).items()},
-        "peak_force": run.peak_force,
-        "peak_deflection": run.peak_deflection,
-        "error_estimate": run.error_estimate,
-    }
+    own = {name: float(one.of(run)) for name, one in _columns(problem, run.scene).items()}
+    return own | {name: getattr(run, name) for name in ("peak_force", "peak_deflection", "error_estimate")}
 
 
 def _units(problem: Problem) -> dict[str, str]:

@@ -115,12 +115,9 @@ def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
     from plough_opt.studies.uncertainty import SoilDistribution
 
     table = _of_strength_factor(table, soil)
-    made = {name: _made(name, values) for name, values in table.distributions.items()}
-    within = {
-        name: (values.get("lower", -math.inf), values.get("upper", math.inf))
-        for name, values in table.distributions.items()
-        if "lower" in values or "upper" in values
-    }
+    kinds = table.distributions
+    made = {name: _made(name, values) for name, values in kinds.items()}
+    within = {name: (own.get("lower", -math.inf), own.get("upper", math.inf)) for name, own in kinds.items()}
     return SoilDistribution(soil, within=within, correlation=table.correlation, **made)
 
 

@@ -137,10 +137,7 @@ class Calibration:
 
 
 def calibrate(
-    given: Given,
-    data: Measurements | Sequence[Measurements],
-    unknown: Mapping[str, Any] | None = None,
-    **options: Any,
+    given: Given, data: Measurements | Sequence[Measurements], unknown: Mapping[str, Any] | None = None, **options: Any
 ) -> Fit:
     """Estimate soil and model parameters from measurements, by least squares between bounds.
 

@@ -319,10 +319,8 @@ class RobustOptimum(Saveable):
 
 def _soil_table(field: SoilDistribution, origin: Origin) -> Grid:
     """Return a table of the uncertain properties of a soil."""
-    table = Grid.of(
-        f"Uncertain soil: {field.soil.name}", "property", "nominal", "mean", "standard deviation", "correlated with",
-        left=("correlated with",),
-    )  # fmt: skip
+    headings = "property", "nominal", "mean", "standard deviation", "correlated with"
+    table = Grid.of(f"Uncertain soil: {field.soil.name}", *headings, left=headings[-1:])
     for name, (mean, spread) in field.moments.items():
         key = f"soil.{name}"
         values = (float(getattr(field.soil, name)), mean, spread)

@@ -35,16 +35,17 @@ from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import Wedge
 
 KINDS: Final = {
-    "states": ("output", "continuous", "calculated"),
-    "rates": ("local", "continuous", "calculated"),
-    "outputs": ("output", "continuous", "calculated"),
-    "indicators": ("local", "continuous", "calculated"),
-    "calculated": ("calculatedParameter", "tunable", "calculated"),
-    "inputs": ("input", "continuous", "exact"),
-    "parameters": ("parameter", "tunable", "exact"),
-    "discrete": ("output", "discrete", "calculated"),
+    "states": ("output", "continuous", "calculated", "NX"),
+    "rates": ("local", "continuous", "calculated", ""),
+    "outputs": ("output", "continuous", "calculated", "NY"),
+    "indicators": ("local", "continuous", "calculated", "NZ"),
+    "calculated": ("calculatedParameter", "tunable", "calculated", "NC"),
+    "inputs": ("input", "continuous", "exact", "NU"),
+    "parameters": ("parameter", "tunable", "exact", "NP"),
+    "discrete": ("output", "discrete", "calculated", "ND"),
 }
-"""Kind of variables -> causality, variability and initial, as FMI defines them; in the order of the C source."""
+"""Kind of variables -> causality, variability and initial, as FMI defines them, and the macro in the C runtime that
+counts them, "" for none; in the order of the C source."""
 
 
 _CATEGORIES: Final = {"logStatusWarning": "warnings about a run", "logStatusError": "why a call was refused"}
@@ -52,11 +53,6 @@ _CATEGORIES: Final = {"logStatusWarning": "warnings about a run", "logStatusErro
 _TOLERANCE: Final = 1e-8
 # Base units: FMI's symbol -> pint's name.
 _BASE_UNITS: Final = {"kg": "kilogram", "m": "meter", "s": "second", "rad": "radian"}
-# Macro in the C runtime -> the kind of variables that it counts.
-_COUNTS: Final = {
-    "NX": "states", "NY": "outputs", "NZ": "indicators", "NC": "calculated", "NU": "inputs", "NP": "parameters",
-    "ND": "discrete",
-}  # fmt: skip
 _NAME: Final = re.compile(r"[A-Za-z_]\w{0,62}", re.ASCII)
 _SYSTEMS: Final = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "windows": ("windows", ".dll")}
 _PROCESSORS: Final = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
@@ -460,7 +456,7 @@ def _variables(model: FmuModel) -> Iterator[ElementTree.Element]:
     """Yield time and every variable."""
     time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
     yield _tag("Float64", **time, unit="s", description="time")
-    for kind, (causality, variability, initial) in KINDS.items():
+    for kind, (causality, variability, initial, _) in KINDS.items():
         for variable in model.of_kind[kind]:
             attributes = {
                 "name": variable.name,
@@ -520,7 +516,7 @@ def c_source(model: FmuModel, *, pushes: bool, by_speed: bool) -> tuple[str, str
 def _constants(model: FmuModel, pushes: bool, by_speed: bool) -> str:
     """Return the C of sizes and options, and of the variables' domains, start values and orders of magnitude."""
     of_kind, functions = model.of_kind, model.functions
-    counts = {count: len(of_kind[kind]) for count, kind in _COUNTS.items()} | {
+    counts = {macro: len(of_kind[kind]) for kind, (*_, macro) in KINDS.items() if macro} | {
         "NQ": functions["derive"].numel_out(0),
         "NW": max(function.sz_w() for function in functions.values()),
         "PUSHES": int(pushes),

@@ -181,7 +181,7 @@ def fitted_unknowns(fit: Estimate) -> tuple[FittedUnknown, ...]:
     """Return every unknown with its standard error."""
     errors = np.where(fit.spread.determined, np.sqrt(np.diag(fit.spread.covariance)), np.inf)
     return tuple(
-        FittedUnknown(u.name, u.unit, float(u.value(y)), float(error * u.slope(y)), u.lower, u.upper, error < np.inf)
+        FittedUnknown(u.name, u.unit, float(u.unscaled(y)), float(error * u.slope(y)), u.lower, u.upper, error < np.inf)
         for u, y, error in zip(fit.unknowns, fit.y.tolist(), errors.tolist(), strict=True)
     )
 

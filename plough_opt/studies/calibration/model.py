@@ -27,11 +27,12 @@ from plough_opt.core.checks import (
     whole_number,
 )
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import ByValue, Column, Expression, as_number, exp, is_symbolic, stacked
+from plough_opt.core.expressions import ByValue, Column, Expression, as_number, is_symbolic, stacked
 from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.quantities import every_quantity, quantities
 from plough_opt.core.tables import columns_of, heading_of, raise_listed, read_rows, table_of
 from plough_opt.core.units import Unit, in_si
+from plough_opt.design.declarations import Scaled
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import simulate
 from plough_opt.motion.methods import Accuracy
@@ -355,7 +356,7 @@ Given: TypeAlias = Described | Scene | SceneOf
 
 
 @dataclass(frozen=True)
-class Unknown:
+class Unknown(Scaled):
     """A quantity to find.
 
     Attributes:
@@ -374,12 +375,6 @@ class Unknown:
     guess: float
     log: bool
 
-    def value(self, y: Expression) -> Expression:
-        """Return the quantity at a scaled value from 0 to 1, a number or a symbol."""
-        if self.log:
-            return self.lower * exp(y * math.log(self.upper / self.lower))
-        return self.lower + y * (self.upper - self.lower)
-
     def read(self, what: str, value: Any) -> float:
         """Return a value in SI, given as a number, text with a unit or a pint quantity.
 
@@ -395,12 +390,6 @@ class Unknown:
     def direct_error(self) -> float:
         """Standard deviation that is assumed for a direct measurement."""
         return _DIRECT_ERROR * (self.upper - self.lower)
-
-    def slope(self, y: float) -> float:
-        """Return the derivative of the quantity by its scaled value."""
-        if self.log:
-            return float(self.value(y)) * math.log(self.upper / self.lower)
-        return self.upper - self.lower
 
     def scaled(self, value: float) -> float:
         """Return the scaled value of a quantity."""
@@ -436,7 +425,7 @@ class CalibrationModel:
 
     def values(self, y: Sequence[Expression] | Array) -> dict[str, Expression]:
         """Return name -> value of the unknowns at scaled values."""
-        return {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(self.unknowns)}
+        return {unknown.name: unknown.unscaled(y[k]) for k, unknown in enumerate(self.unknowns)}
 
     def scene(self, values: Mapping[str, Expression]) -> Scene:
         """Return the scene with changed values; a duration among them is ignored, as it is not part of the scene."""

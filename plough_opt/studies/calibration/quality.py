@@ -79,8 +79,8 @@ def interval(fit: Estimate, k: int, level: float, kind: Kind) -> Interval:
             kind = "linearised"
     unknown = fit.unknowns[k]
     clipped = {"lower": low <= AT_BOUND, "upper": high >= 1.0 - AT_BOUND}
-    lower = unknown.lower if clipped["lower"] else float(unknown.value(low))
-    upper = unknown.upper if clipped["upper"] else float(unknown.value(high))
+    lower = unknown.lower if clipped["lower"] else float(unknown.unscaled(low))
+    upper = unknown.upper if clipped["upper"] else float(unknown.unscaled(high))
     return Interval(lower, upper, tuple(side for side, at_bound in clipped.items() if at_bound), kind)
 
 

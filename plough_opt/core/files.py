@@ -369,12 +369,17 @@ def written(figure: Figure, target: str | Path | None) -> Figure:
     return figure
 
 
-def figure_with_panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its panels, row by row, each of a size [inch]; the places after them stay empty."""
+def figure_of_size(width: float, height: float) -> Figure:
+    """Return an empty figure of a size [inch]; matplotlib is loaded only to draw."""
     from matplotlib.figure import Figure
 
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def figure_with_panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its panels, row by row, each of a size [inch]; the places after them stay empty."""
     rows = max(1, -(-count // columns))
-    figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
+    figure = figure_of_size(size[0] * columns, size[1] * rows)
     places = [*figure.subplots(rows, columns, squeeze=False).flat]
     for axes in places[count:]:
         axes.set_visible(False)

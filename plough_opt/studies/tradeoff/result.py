@@ -13,7 +13,7 @@ import numpy as np
 
 from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InputError, listed
-from plough_opt.core.files import COLOURS, written
+from plough_opt.core.files import COLOURS, figure_of_size, written
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin, Saveable, versions
 from plough_opt.core.tables import Column, Grid, Page, data_frame, write_table
@@ -485,8 +485,6 @@ _TICKS_IN_SPACE: Final = 5
 
 def front_figure(front: TradeOff) -> Figure:
     """Return a figure of the front, with panels for a third objective and for the variables that change along it."""
-    from matplotlib.figure import Figure
-
     varying = [v for v, values in zip(front.variables, front.designs.T, strict=True)
                if np.ptp(values) > _CONSTANT * np.max(np.abs(values))]  # fmt: skip
     varying = varying or list(front.variables)
@@ -495,7 +493,7 @@ def front_figure(front: TradeOff) -> Figure:
     columns = 1 if len(panels) <= 3 else 2
     rows = math.ceil(len(panels) / columns)
     width, height, least = _PANEL_SIZES[len(front.goals)]
-    figure = Figure(figsize=(_FRONT_WIDTH + width * columns, max(least, height * rows)), layout="constrained")
+    figure = figure_of_size(_FRONT_WIDTH + width * columns, max(least, height * rows))
     left, right = figure.subfigures(ncols=2, squeeze=False, width_ratios=(_FRONT_WIDTH, width * columns))[0]
     draw_front(left.add_subplot(projection=None if flat else "3d"), front)
     every = right.subplots(rows, columns, sharex=True, sharey=not flat, squeeze=False)

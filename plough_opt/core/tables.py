@@ -572,8 +572,14 @@ def table_of(
     return np.array(table)
 
 
-def raise_listed(errors: Sequence[str]) -> None:
-    """Raise InputError if there are any mistakes; the message lists the first few."""
+def raise_listed(errors: Sequence[str], most: int = _MOST_LISTED, further: int = 0) -> None:
+    """Raise InputError if there are any mistakes.
+
+    Args:
+        errors: sentences on mistakes, of which the message lists the first few.
+        most: number of mistakes to list.
+        further: number of mistakes besides these.
+    """
     if errors:
-        more = [f"... and {len(errors) - _MOST_LISTED} more"] if len(errors) > _MOST_LISTED else []
-        raise InputError("\n".join([*errors[:_MOST_LISTED], *more]))
+        rest = len(errors[most:]) + further
+        raise InputError("\n".join([*errors[:most], *([f"... and {rest} more"] if rest else [])]))

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 
-from plough_opt.core.checks import check_kind, path_of
+from plough_opt.core.checks import check_kind, check_named, path_of
 from plough_opt.core.errors import DomainError, InputError, nearest, short
 from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
@@ -190,8 +190,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
     displays: dict[str, Display] = {}
     for key, declared in table.variables.items():
         with source.noting(("variables", key)):
-            if key not in units:
-                raise InputError(f"'{key}' cannot be a variable: {nearest(key, units)}")
+            check_named("{} cannot be a variable", key, units)
             if table.uncertain is not None and (declared.catalogue or declared.step) is not None:
                 raise InputError(f"'{key}' has a catalogue, which is for one soil: remove it, or the table [uncertain]")
             variables[key] = variable_of(source, key, declared)
@@ -355,8 +354,7 @@ def _keys_of(path: str) -> list[str]:
     name, _, side = rest.rpartition(".")
     if rest in quantities():
         return [*around, "variables", rest]
-    if name not in quantities():
-        raise InputError(f"'{name or rest}' cannot be a variable: {nearest(name or rest, quantities())}")
+    check_named("{} cannot be a variable", name or rest, quantities())
     return [*around, "variables", name, side]
 
 
@@ -388,10 +386,9 @@ def names_of_shares(source: Source) -> tuple[str, ...]:
                 raise InputError(f"'{name}' cannot be the name of a share: use letters, digits and _, no table's")
         for table in own:
             with source.noting((_SHARES, name, table)):
-                if table not in SHARE_TABLES:
-                    if table in ProblemTable.model_fields:
-                        raise InputError(f"'{table}' cannot differ between shares: give [{table}] for all of them")
-                    raise InputError(f"'{table}' is not a table of a share: {nearest(table, SHARE_TABLES)}")
+                if table in {*ProblemTable.model_fields}.difference(SHARE_TABLES):
+                    raise InputError(f"'{table}' cannot differ between shares: give [{table}] for all of them")
+                check_named("{} is not a table of a share", table, SHARE_TABLES)
         for key in _FRAME_KEYS:
             with source.noting((_SHARES, name, "scene", key)):
                 if any(isinstance(own.get(table), dict) and entry in own[table]

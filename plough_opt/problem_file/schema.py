@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from plough_opt.core import expressions
 from plough_opt.core.checks import check_named, shown
-from plough_opt.core.errors import InputError, nearest, short
+from plough_opt.core.errors import InputError, short
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import EVERY, IN_FILES, MOST_WAVES, QUANTITIES, wave_table
 from plough_opt.core.units import Unit, registry
@@ -99,8 +99,7 @@ def _made(kind: type[_Kind], key: str, written: Mapping[str, Any]) -> _Kind:
 def _value(kind: type, key: str, value: Any) -> Any:
     """Return the value of one field, converted to SI if the field has a unit."""
     known = {each.name: each for each in dataclasses.fields(kind)}
-    if key not in known:
-        raise InputError(f"'{key}' is not a quantity of {kind.__name__}: {nearest(key, known)}")
+    check_named(f"{{}} is not a quantity of {kind.__name__}", key, known)
     unit = known[key].metadata.get("unit")
     if unit is None:
         return value
@@ -587,8 +586,7 @@ def _checked_names(tree: ast.expr, text: str, unit: str) -> dict[str, None]:
         if isinstance(what, float):
             return plain if what else zero
         single = [name for name, measure in MEASURES.items() if not measure.everywhere]
-        if what not in single and what not in QUANTITIES:
-            raise InputError(f"'{what}' has no single value to compute with: {nearest(what, [*single, *QUANTITIES])}")
+        check_named("{} has no single value to compute with", what, [*single, *QUANTITIES])
         names[what] = None
         return unit_of((MEASURES[what].unit.symbol if what in MEASURES else QUANTITIES[what].unit) or "dimensionless")
 

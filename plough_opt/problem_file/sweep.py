@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_named, shown
-from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, stacked
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import quantities
@@ -204,8 +204,7 @@ def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], d
     axes: dict[str, Axis] = {}
     displays: dict[str, Display] = {}
     for name, given in over.items():
-        if name not in units:
-            raise InputError(f"'{name}' cannot be swept: {nearest(name, units)}")
+        check_named("{} cannot be swept", name, units)
         if not isinstance(given, str):
             axes[name] = axis_of(name, given)
             continue

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from plough_opt.core.checks import check_named
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number
 from plough_opt.core.quantities import quantities
@@ -212,8 +213,7 @@ def _check_correlation(entry: Any, names: Sequence[str]) -> None:
         if not isinstance(item, list) or len(item) != 3 or not isinstance(item[2], int | float):
             raise InputError(f"'{TABLE}.correlation': {item!r} must be two names and a number, like {example[1:-1]}")
         for name in item[:2]:
-            if name not in names:
-                raise InputError(f"'{TABLE}.correlation': '{name}' has no distribution: {nearest(str(name), names)}")
+            check_named(f"'{TABLE}.correlation': {{}} has no distribution", name, names)
 
 
 def _check_distribution(source: Source, key: str, entry: Any) -> None:

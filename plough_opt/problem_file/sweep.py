@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_named, shown
+from plough_opt.core.checks import check_kind, check_named
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, stacked
 from plough_opt.core.plain_data import Array
@@ -198,8 +198,7 @@ def sweep(
 
 def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], dict[str, Display]]:
     """Return the values or range of each quantity in SI, and the units of those that are given as text."""
-    if not isinstance(over, Mapping):
-        raise InputError(f"over = {shown(over)} must be a dictionary, like {{'soil.cohesion': '5..45 kPa:9'}}")
+    check_kind("over", over, Mapping, "a dictionary, like {'soil.cohesion': '5..45 kPa:9'}")
     units = quantities()
     axes: dict[str, Axis] = {}
     displays: dict[str, Display] = {}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from plough_opt.core.checks import check_named
+from plough_opt.core.checks import check_named, whole_number
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number
 from plough_opt.core.quantities import quantities
@@ -160,9 +160,7 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
     for key, entry in table.uncertain.items():
         with source.noting((TABLE, key)):
             if key in _COUNTS:
-                low, high = _COUNTS[key]
-                if isinstance(entry, bool) or not isinstance(entry, int) or not low <= entry <= high:
-                    raise InputError(f"'{TABLE}.{key}' = {entry!r} must be a whole number from {low} to {high}")
+                whole_number(f"'{TABLE}.{key}'", entry, *_COUNTS[key])
             elif key == "correlation":
                 _check_correlation(entry, [name for name in table.uncertain if name.startswith("soil.")])
             elif key not in properties:

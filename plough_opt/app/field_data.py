@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from plough_opt.app.main import RECORDED_SHARE, RIG, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, give, progress, read
-from plough_opt.core.errors import InputError, NotConverged, nearest
+from plough_opt.core.errors import InputError, NotConverged, about, nearest
 from plough_opt.core.plain_data import json_text
 from plough_opt.core.quantities import quantities, wave_table
 from plough_opt.core.tables import Grid, Page, data_frame
@@ -99,10 +99,8 @@ def _known(text: str) -> Measurements:
 
     key, *written = _split("--known", text, ("+-", "±"), 'soil.friction_angle="28 +- 1 deg"')
     unit = quantities()[key]
-    try:
+    with about(f"--known {text}: '{key}'"):
         value, sigma = map(unit.parse, written)
-    except InputError as error:
-        raise InputError(f"--known {text}: '{key}' {error}") from None
     return Measurements(key, [value], sigma=sigma, name=f"--known {key}")
 
 

@@ -21,7 +21,7 @@ from typing import Any, Final, NoReturn
 
 import shtab
 
-from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError, nearest, printable
+from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError, about, nearest, printable
 from plough_opt.core.process import load_additions, without_notices
 from plough_opt.core.units import Unit
 
@@ -112,10 +112,8 @@ def given_quantities(options: argparse.Namespace, declared: Mapping[str, Quantit
         if written is None:
             continue
         texts = written if option.several else [written]
-        try:
+        with about(f"--{name}"):
             parsed = [text if option.unit is None else Unit(option.unit).parse(text) for text in texts]
-        except InputError as error:
-            raise InputError(f"--{name} {error}") from None
         values[option.argument or name.replace("-", "_")] = parsed if option.several else parsed[0]
     return values
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import ValidationError
 
 from plough_opt.core.checks import check_kind, check_named, path_of
-from plough_opt.core.errors import DomainError, InputError, nearest, short
+from plough_opt.core.errors import DomainError, InputError, about, nearest, short
 from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import Display, Unit, display_of, in_words
@@ -293,12 +293,10 @@ def apply_override(source: Source, text: str) -> str:
     text = short(text, _SHOWN)  # as messages quote it
     if not (path and written):
         raise InputError(f'--set {text}: expected KEY=VALUE, like scene.tow_speed="2.5 m/s"')
-    try:
+    with about(f"--set {text}:"):
         keys, value = _keys_of(path), _toml_value(written)
         if keys != [_SHARES]:
             return _change(source, keys, value, text)
-    except InputError as error:
-        raise InputError(f"--set {text}: {error}") from None
     choose_share(source, value)
     return ""
 
@@ -466,10 +464,8 @@ def _check_compaction(table: ProblemTable, known: set[str]) -> None:
     """Raise InputError if a compression test is invalid, or does not reach an ambient pressure that is fixed."""
     test, key = table.soil.compaction, "soil.ambient_pressure"
     assert test is not None
-    try:
+    with about("'pressure'"):
         pressure = [Unit("Pa").parse(written) for written in test.pressure]
-    except InputError as error:
-        raise InputError(f"'pressure' {error}") from None
     compression_test(pressure, test.volume_lost)
     if key not in table.variables:
         fixed = float(at(table, key)) if key in known else STANDARD_ATMOSPHERE  # that of the named soils, too

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from plough_opt.core import expressions
 from plough_opt.core.checks import check_named, shown
-from plough_opt.core.errors import InputError, short
+from plough_opt.core.errors import InputError, about, short
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import EVERY, IN_FILES, MOST_WAVES, QUANTITIES, wave_table
 from plough_opt.core.units import Unit, registry
@@ -103,10 +103,8 @@ def _value(kind: type, key: str, value: Any) -> Any:
     unit = known[key].metadata.get("unit")
     if unit is None:
         return value
-    try:
+    with about(f"'{key}'"):
         return Unit(unit).parse(value)
-    except InputError as error:
-        raise InputError(f"'{key}' {error}") from None
 
 
 def _readable_by(read: Callable[[Any], object]) -> AfterValidator:

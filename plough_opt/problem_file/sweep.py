@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_kind, check_named
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import Expression, stacked
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import quantities
@@ -93,10 +93,8 @@ class ProblemSweep:
         count = points_of(axes, samples, seed).count
         for end in (0, -1):
             corner = fixed_at(problem, {name: _ends(axis)[end] for name, axis in axes.items()})
-            try:
+            with about("in the sweep:"):
                 check_changed(corner)
-            except InputError as error:
-                raise InputError(f"in the sweep: {error}") from None
         if what == "optimise":
             corner.design()
         evaluation, how = _evaluation(problem, tuple(axes), what, method, count)
@@ -207,10 +205,8 @@ def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], d
         if not isinstance(given, str):
             axes[name] = axis_of(name, given)
             continue
-        try:
+        with about(f"'{name}'"):
             axes[name], displays[name] = read_axis(given, units[name], sampled=sampled)
-        except InputError as error:
-            raise InputError(f"'{name}' {error}") from None
     return axes, displays
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from plough_opt.core.checks import array_of, check_choice, check_named, check_text, mapping_of, whole_number
-from plough_opt.core.errors import DomainError, InputError
+from plough_opt.core.errors import DomainError, InputError, about
 from plough_opt.core.plain_data import Array
 from plough_opt.studies.calibration.estimate import ERRORS, INSIDE, LOSSES, NOMINAL, Data, LeastSquares, Setup, estimate
 from plough_opt.studies.calibration.fit import Fit, reported
@@ -190,10 +190,8 @@ def _check_bounds(model: CalibrationModel, measured: Sequence[Measurements]) -> 
     for u in model.unknowns:
         tried |= {f"{side} bound of '{u.name}'": guess | {u.name: getattr(u, side)} for side in ("lower", "upper")}
     for place, values in tried.items():
-        try:
+        with about(f"{place}:", DomainError):
             model.scene(values)
-        except DomainError as error:
-            raise InputError(f"{place}: {error}") from None
 
 
 def _data(measured: Sequence[Measurements], errors: str) -> Data:

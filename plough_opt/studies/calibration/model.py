@@ -26,7 +26,7 @@ from plough_opt.core.checks import (
     shown,
     whole_number,
 )
-from plough_opt.core.errors import DomainError, InputError
+from plough_opt.core.errors import DomainError, InputError, about
 from plough_opt.core.expressions import ByValue, Column, Expression, as_number, is_symbolic, stacked
 from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.quantities import every_quantity, quantities
@@ -566,11 +566,9 @@ class Rows:
         for number, conditions in enumerate([] if self.measured.direct else self._distinct[0].tolist()):
             rows = np.flatnonzero(self._distinct[1] == number)
             values = self.model.values(y) | dict(zip(self.measured.conditions, conditions, strict=True))
-            try:
+            with about(f"{self.measured.row(int(rows[0]))}:", DomainError):
                 scene = self.model.scene(values)
                 scene.check_reaction()
-            except DomainError as error:
-                raise InputError(f"{self.measured.row(int(rows[0]))}: {error}") from None
             time = self.measured.time
             duration = self.model.duration_of(values) if time is None else float(np.max(time[rows]))
             scenes.append((scene, duration, rows))

@@ -31,7 +31,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_switch, plain_number, shown, whole_number
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import is_casadi
 from plough_opt.core.plain_data import Array
 
@@ -151,10 +151,8 @@ class PointGrid:
         self.names = tuple(axes)
         self._values: list[Array] = []
         for name, axis in axes.items():
-            try:
+            with about(f"'{name}':"):
                 self._values.append(np.array(axis.values() if isinstance(axis, Range) else axis))
-            except InputError as error:
-                raise InputError(f"'{name}': {error}") from None
         self.count = math.prod(map(len, self._values))
         if self.count >= 2**63:
             raise InputError(f"the grid has {self.count:.3g} points: use fewer values, or a sample")

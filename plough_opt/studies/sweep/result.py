@@ -24,7 +24,7 @@ from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame, write_table
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.sweep.store import RESERVED, State, Store
+from plough_opt.studies.sweep.store import RESERVED, State, Store, closed_on_error
 
 if TYPE_CHECKING:
     import pandas
@@ -127,13 +127,11 @@ class Sweep(Readable):
         if not path.is_file():
             raise InputError(f"there is no store {shown(str(path), 200)}")
         store = Store(path, write=False)
-        try:
+        with closed_on_error(store):
             if store.empty:
                 raise InputError(f"'{path}' is empty, not the store of a sweep")
-            return cls(store, store.counts().stored)
-        except BaseException:
-            store.close()
-            raise
+            already = store.counts().stored
+        return cls(store, already)
 
     def close(self) -> None:
         """Close the store; the results are lost if it is a temporary file.

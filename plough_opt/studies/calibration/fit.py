@@ -509,9 +509,8 @@ class Fit(Saveable):
             24
         """
         names = ("place", "result", "unit", "observed", "predicted", "residual", "sigma", "standard_error")
-        frame = data_frame({name: [getattr(row, name) for row in self.rows] for name in names}, {})
-        frame.attrs["units"] = {row.result: row.unit for row in self.rows}
-        return frame
+        columns = {name: [getattr(row, name) for row in self.rows] for name in names}
+        return data_frame(columns, {}, {row.result: row.unit for row in self.rows})
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw measured against predicted values, the residuals, and their distribution.

@@ -310,11 +310,10 @@ class RobustOptimum(Saveable):
         Raises:
             InputError: pandas is not installed.
         """
-        names = [*self.best.variables]
-        columns = {"variable": names, "robust": [*self.best.variables.values()]}
-        frame = data_frame(columns | {"nominal": [self.nominal.variables[name] for name in names]}, {})
-        frame.attrs["units"] = {limit.name: limit.unit for limit in self.best.limits if limit.kind == "bound"}
-        return frame
+        robust, nominal = self.best.variables, self.nominal.variables
+        columns = {"variable": [*robust], "robust": [*robust.values()], "nominal": [nominal[name] for name in robust]}
+        units = {limit.name: limit.unit for limit in self.best.limits if limit.kind == "bound"}
+        return data_frame(columns, {}, units)
 
 
 def _soil_table(field: SoilDistribution, origin: Origin) -> Grid:

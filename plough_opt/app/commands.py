@@ -368,7 +368,7 @@ def _best(problem: Problem, *, bought: bool) -> Scene:
 
 
 # A relative difference below this is rounding.
-_ROUNDING = 1e-9
+_NO_CHANGE = 1e-9
 # SI unit -> results of a run that `compare` shows in one common unit.
 _RESULTS = {
     "N": ("mean_draft", "force_rms", "peak_force"),
@@ -482,7 +482,7 @@ def _difference(values: Sequence[float | None], display: Display) -> str:
     if len(given) < 2:
         return ""
     change = given[1] - given[0] if len(values) == 2 else max(given) - min(given)
-    if abs(change) <= _ROUNDING * max(map(abs, given)):
+    if abs(change) <= _NO_CHANGE * max(map(abs, given)):
         return "0 %"
     return f"{100.0 * change / abs(given[0]):+.3g} %" if given[0] else display.text(change, 3)
 

@@ -53,7 +53,7 @@ CONSTANT: Final = 1e-6
 """Relative change below which a result counts as constant in pictures: smaller changes are rounding."""
 
 # Positive values whose largest exceeds the smallest by more than this factor have a logarithmic axis.
-_LOG_RATIO: Final = 20.0
+_LOG_AXIS_RATIO: Final = 20.0
 # As many as have no divisor in common with the number of colours, so that every pair of both occurs.
 _MARKERS: Final = "os^vDPX<>hp*"
 
@@ -393,7 +393,7 @@ def line_style(number: int) -> dict[str, Any]:
 
 def scale_of(values: Collection[float]) -> Literal["log", "linear"]:
     """Return the scale of an axis, or of colours, that shows values."""
-    return "log" if 0.0 < _LOG_RATIO * min(values) < max(values) else "linear"
+    return "log" if 0.0 < _LOG_AXIS_RATIO * min(values) < max(values) else "linear"
 
 
 def shared_legend(target: Axes | Figure, panels: Sequence[Axes], **where: Any) -> None:

@@ -49,7 +49,7 @@ MANY: Final = 10_000
 """Number of points from which a sweep simulates by `Batch`, if `Batch` accepts the scene."""
 
 # Part of a duration by which whole waves may differ from it.
-_ROUNDING: Final = 1e-9
+_WAVES_APART: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -383,8 +383,8 @@ class SimulationOfMany:
             for k, points in _extremes(which, np.column_stack([values, ambient_share])[which]):
                 scene = self.problem.scene(dict(zip(self.names, values[k].tolist(), strict=True)))
                 notes.append((k, points, (*batch.warnings, *scene.warnings())))
-        count = np.floor(duration / period * (1.0 + _ROUNDING))
-        broken = np.flatnonzero(sound & (count >= 1.0) & (count * period < duration * (1.0 - _ROUNDING)))
+        count = np.floor(duration / period * (1.0 + _WAVES_APART))
+        broken = np.flatnonzero(sound & (count >= 1.0) & (count * period < duration * (1.0 - _WAVES_APART)))
         if whole is not None and broken.size:
             change = 100.0 * (averages[0, broken] / whole(values[broken]).mean_draft - 1.0)
             changed = np.abs(change) > BROKEN_WAVE

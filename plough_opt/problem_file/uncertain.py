@@ -42,10 +42,10 @@ _KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 # Properties that do not affect the cone index.
 _NOT_IN_CONE_INDEX = ("density", "youngs_modulus", "poisson_ratio")
-_NUMBER = r"(?:\d+\.?\d*|\.\d+)"
+_UNSIGNED = r"(?:\d+\.?\d*|\.\d+)"
 _MEASURE = re.compile(
-    rf"(?P<plain>nominal|expected|worst)|cvar\s+(?P<level>{_NUMBER})"
-    rf"|mean\s*(?P<sign>[+-])\s*(?P<factor>{_NUMBER})\s*std"
+    rf"(?P<plain>nominal|expected|worst)|cvar\s+(?P<level>{_UNSIGNED})"
+    rf"|mean\s*(?P<sign>[+-])\s*(?P<factor>{_UNSIGNED})\s*std"
 )
 _MEASURE_EXAMPLES = '"expected", "mean + 2 std", "cvar 0.9", "worst" or "nominal"'
 # Measures of one tail, which are not smooth.

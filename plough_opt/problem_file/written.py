@@ -27,7 +27,7 @@ from plough_opt.soil.soil import named_soil, soil_names
 
 _NAME = "design.toml"  # as the page that computes calls what it writes
 # Difference that conversions of units leave, relative and, of differences of numbers near 1, absolute.
-_ROUNDING = 1e-14
+_UNITS_ROUNDING = 1e-14
 
 
 def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
@@ -119,7 +119,7 @@ def _differences(name: str, one: Any, other: Any) -> Iterator[str]:
         for k, pair in enumerate(zip(one, other, strict=True)):
             yield from _differences(f"{name}[{k}]", *pair)
     elif isinstance(one, float) and isinstance(other, float):
-        if not np.isclose(one, other, rtol=_ROUNDING, atol=_ROUNDING / 10.0):
+        if not np.isclose(one, other, rtol=_UNITS_ROUNDING, atol=_UNITS_ROUNDING / 10.0):
             yield f"{name} = {one!r}"
     elif one != other:
         yield f"{name} = {shown(one)}"

@@ -75,7 +75,7 @@ _EFFORTS: Final[tuple[Search, ...]] = ("near", 250, 1000, "auto", "thorough")
 # Number of seeds for each effort, and in a thin study.
 _SEEDS, _THIN_SEEDS = 8, 3
 # Objectives or medians with a smaller relative difference belong to the same optimum: medians come from rough runs.
-_SAME = 1e-5
+_SAME_RANK = 1e-5
 # Factor on the number of steps of a solve for the reference. With order 8 the error is smaller by 4^8.
 _FINER = 4.0
 # Gradients of the reference: tolerance of the adaptive method; for a periodic orbit phase in a step of order 8 [rad].
@@ -87,7 +87,7 @@ _FAR = 1e-4
 # Newton's steps diverge if one is longer than the shortest before it by this factor.
 _DIVERGES = 1e3
 # Least size that errors of the objective are relative to, in units of its scale.
-_LEAST_SIZE = 1e-12
+_LEAST_OBJECTIVE = 1e-12
 # Singular values below this part of the largest belong to directions in which the optimum is not unique.
 _FLAT = 1e-10
 
@@ -137,7 +137,7 @@ class SearchTrial:
         A search is right if it finds the best optimum that any of the searches found, since no other truth is known.
         """
         least = ranked_value(best)
-        right = sum(ranked_value(optimum) <= least + _SAME * abs(least) for optimum in self.found)
+        right = sum(ranked_value(optimum) <= least + _SAME_RANK * abs(least) for optimum in self.found)
         designs = int(median([optimum.search.designs for optimum in self.found if optimum.search] or [0]))
         return Thoroughness(self.setting, designs, len(self.optima), right, self.seconds)
 
@@ -243,7 +243,7 @@ def reference_optimum(declared: Declarations, best: Optimum) -> OptimumReference
         raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)
     y, residual, off = _polished(program, p, point)
     objective, check = (float(values[0].item()) for values in program.exact_values(y, p))
-    size = max(abs(objective), program.objective_scale * _LEAST_SIZE)
+    size = max(abs(objective), program.objective_scale * _LEAST_OBJECTIVE)
     # The error of an objective at its optimum is the residual times the error of the variables.
     rounding = float(np.finfo(float).eps)
     floor = max(abs(objective - check) / size, residual * max(off, residual), rounding)
@@ -497,7 +497,7 @@ def _check(wanted: float, title: str, **switches: bool) -> None:
 # Evaluations of which the median time is taken.
 _REPEATS = 5
 # Relative error that is due to rounding, so that further refinement gains nothing.
-_ROUNDING = 1e-14
+_LEAST_ERROR = 1e-14
 
 
 @dataclass(frozen=True)
@@ -549,7 +549,7 @@ class Refinement:
         every = [*zip(self.sizes, self.errors, self.cost, strict=True)]
         rows = [f"{'size':>6} {'relative error':>16} {'time, fastest = 1':>18}"]
         rows += [f"{size:>6} {error:>16.1e} {cost:>18.1f}" for size, error, cost in every]
-        if enough := [size for size, error, _ in every if error <= _ROUNDING]:
+        if enough := [size for size, error, _ in every if error <= _LEAST_ERROR]:
             rows.append(f"At {enough[0]} only rounding errors remain; larger sizes gain nothing.")
         return "\n".join(rows)
 

@@ -296,7 +296,7 @@ _SIGNIFICANCE: Final = 1e-3
 # to 24 rows with proportional errors, whose results differ by a factor of five, five in six are warned of.
 _GROWING: Final = 0.05
 # Differences and parts below this are rounding.
-_ROUNDING: Final = 1e-9
+_NO_DIFFERENCE: Final = 1e-9
 # A residual above this many standard deviations is an outlier.
 _OUTLIER: Final = 4.0
 # The scale of a robust loss has not settled if the residuals differ from it by more than this part.
@@ -355,10 +355,10 @@ def _error_notes(fit: Estimate) -> Iterator[str]:
     left = np.maximum(1.0 - np.sum(base**2, axis=1), 0.0)
     by_set = _by_set(fit, np.abs(fit.predicted))
     sizes = np.concatenate([predicted / np.mean(predicted[rows.measured.counted]) for rows, predicted in by_set])
-    counted = (fit.data.weights > 0.0) & (left > _ROUNDING) & (sizes > _ROUNDING)
+    counted = (fit.data.weights > 0.0) & (left > _NO_DIFFERENCE) & (sizes > _NO_DIFFERENCE)
     logarithms = np.log(sizes[counted])
     errors = np.abs(fit.residuals[counted]) / np.sqrt(left[counted])
-    if np.ptp(logarithms) < _ROUNDING or np.ptp(errors) <= _ROUNDING * np.max(errors):
+    if np.ptp(logarithms) < _NO_DIFFERENCE or np.ptp(errors) <= _NO_DIFFERENCE * np.max(errors):
         return
     if stats.pearsonr(logarithms, errors, alternative="greater").pvalue < _GROWING:
         yield (

@@ -469,7 +469,7 @@ _LEAST_CHANGE: Final = 0.01
 # Most ticks of an axis, so that their numbers do not touch.
 _TICKS: Final = 6
 # Relative range of a variable along the front below which it is constant except for the optimiser's rounding.
-_CONSTANT: Final = 1e-4
+_UNCHANGED: Final = 1e-4
 # Triangles with a side longer than this many times the median lie across a hole.
 _LONGEST_SIDE: Final = 3.0
 _LEAST_CORNERS: Final = 3
@@ -486,7 +486,7 @@ _TICKS_IN_SPACE: Final = 5
 def front_figure(front: TradeOff) -> Figure:
     """Return a figure of the front, with panels for a third objective and for the variables that change along it."""
     varying = [v for v, values in zip(front.variables, front.designs.T, strict=True)
-               if np.ptp(values) > _CONSTANT * np.max(np.abs(values))]  # fmt: skip
+               if np.ptp(values) > _UNCHANGED * np.max(np.abs(values))]  # fmt: skip
     varying = varying or list(front.variables)
     flat = len(front.goals) == 2
     panels = [*front.goals[2:], *varying]

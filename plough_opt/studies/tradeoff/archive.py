@@ -57,6 +57,7 @@ class Archive:
 
     Attributes:
         front: the program.
+        progress: called with what is being done and the fraction done.
         seed: of the samples.
         vary: numbers of the variables that are searched; empty if only the basin of the guess is wanted.
         tried: number of designs tried.
@@ -64,7 +65,7 @@ class Archive:
         needles_beyond: number of needles found ahead of the front, without those that other designs dominate.
     """
 
-    def __init__(self, front: FrontProgram, search: Search, progress: Progress, seed: int = 0) -> None:
+    def __init__(self, front: FrontProgram, search: Search, progress: Progress, seed: int) -> None:
         """Use a program whose scales are set.
 
         Args:
@@ -76,7 +77,7 @@ class Archive:
         Raises:
             InputError: `search` names an unknown variable, or is not a valid effort.
         """
-        self.front, self.tried, self._progress, self.seed = front, 0, progress, seed
+        self.front, self.tried, self.progress, self.seed = front, 0, progress, seed
         program = front.program
         self._landscape = Landscape(program, front.neutral_parameters())
         self.vectorised = self._landscape.vectorised
@@ -179,13 +180,13 @@ class Archive:
         """
         landscape = FrontLandscape(self, p)
         judged = ranking_criterion(landscape, "tolerance")
-        explorer = Explorer(landscape, self._start, self.vary, judged, self._effort, self._progress, self.seed)
+        explorer = Explorer(landscape, self._start, self.vary, judged, self._effort, self.progress, self.seed)
         explored = explorer.explore()
         if not np.any(np.isfinite(explored.sample.merit)):
             none = f"none of {landscape.designs_tried} designs between the bounds has a value"
             raise NotConverged(f"{none}: tighten the bounds, or shorten the duration", "no value")
         if not np.any(explored.minima.feasible):
-            self._progress("looking for a design that meets the requirements", 0.0)
+            self.progress("looking for a design that meets the requirements", 0.0)
             return descend(landscape, feasible_from(landscape, explored, self._start))
         values = judged(explored.minima.points)
         limit = values.min() + _FOLLOWED * abs(values.min())
@@ -338,14 +339,9 @@ class Tracer(ABC):
     at_once: int
     comparisons: int
 
-    def __init__(self, archive: Archive, progress: Progress) -> None:
-        """Begin without a candidate.
-
-        Args:
-            archive: designs that the searches tried.
-            progress: called with what is being done and the fraction done.
-        """
-        self.archive, self.front, self.progress = archive, archive.front, progress
+    def __init__(self, archive: Archive) -> None:
+        """Begin without a candidate, beside an archive of the designs that the searches tried."""
+        self.archive, self.front, self.progress = archive, archive.front, archive.progress
         self.candidates: list[FrontCandidate] = []
         self.failures: list[MissingPoint] = []
         self.tried: set[bytes] = set()

@@ -358,7 +358,7 @@ def trade_off(
     front.prepare(front.declared.parameter_values(parameters))
     building = time.perf_counter() - started
     kind = CurveTracer if len(goals) == 2 else SurfaceTracer
-    tracer = kind(Archive(front, search, notify, whole_number("seed", seed)), positions, notify)
+    tracer = kind(Archive(front, search, notify, whole_number("seed", seed)), positions)
     anchors = _anchors(front, tracer)
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:

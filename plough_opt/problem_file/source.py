@@ -339,7 +339,7 @@ _RANGE = re.compile(r"(?P<lower>.+?)\.\.(?P<upper>[^:]*?)(?::(?P<count>[^:]*?))?
 _NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
-def read_axis(text: str, unit: Unit, *, sampled: bool = False) -> tuple[Axis, Display]:
+def read_axis(text: str, unit: Unit, *, sampled: bool) -> tuple[Axis, Display]:
     """Return the values or the range in SI that a text describes, and the unit in which it is written.
 
     The unit is written once, at the end, or with every number. The steps of a grid are exact in decimal numbers of that

@@ -238,8 +238,19 @@ _LARGEST_VIOLATION = 1e-6
 _LEAST_CURVATURE = -1e-6
 
 
+class Aimed:
+    """What is minimised, or maximised."""
+
+    maximise: bool
+
+    @property
+    def sign(self) -> float:
+        """1 for what is minimised, -1 for what is maximised."""
+        return -1.0 if self.maximise else 1.0
+
+
 @dataclass(frozen=True)
-class Goal:
+class Goal(Aimed):
     """One objective of a trade-off.
 
     Attributes:
@@ -270,14 +281,9 @@ class Goal:
             count = self.expression.numel()
             raise InputError(f"the objective '{self.name}' must be one number, not {count}: sum or average it")
 
-    @property
-    def sign(self) -> float:
-        """1 for what is minimised, -1 for what is maximised."""
-        return -1.0 if self.maximise else 1.0
-
 
 @dataclass(frozen=True)
-class Axis:
+class Axis(Aimed):
     """Objective or variable of a front, as reports and pictures need it.
 
     Attributes:
@@ -295,11 +301,6 @@ class Axis:
     log: bool = False
     lower: float | None = None
     upper: float | None = None
-
-    @property
-    def sign(self) -> float:
-        """1 for what is minimised, -1 for what is maximised."""
-        return -1.0 if self.maximise else 1.0
 
 
 @dataclass(frozen=True)

@@ -1,32 +1,34 @@
-"""Commands on problem files and saved results; every command writes its files last, when nothing else can fail."""
+"""Commands on problem files, saved results and measurements; each writes its files last, when nothing else can fail."""
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import hashlib
 import json
+import math
 import shlex
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import asdict, replace
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.app import tables
-from plough_opt.app.main import MODELS, PART, given_quantities
+from plough_opt.app.main import MODELS, PART, RECORDED_SHARE, RIG, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, console, give, progress, quiet, read, wrote
 from plough_opt.core.compiler import cache_folder
-from plough_opt.core.errors import InputError, NotConverged, printable
+from plough_opt.core.errors import InputError, NotConverged, about, nearest, printable
 from plough_opt.core.files import check_file, drawn, write_new
-from plough_opt.core.plain_data import to_plain
+from plough_opt.core.plain_data import json_text, to_plain
 from plough_opt.core.process import optional
-from plough_opt.core.quantities import EVERY, QUANTITIES
+from plough_opt.core.quantities import EVERY, QUANTITIES, quantities, wave_table
 from plough_opt.core.saving import Origin, is_store, load
 from plough_opt.core.tables import Grid, Page, data_frame
-from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display
+from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display, customary
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.formats import FORMATS, Request
 from plough_opt.laws.forces import cone_index
@@ -37,6 +39,7 @@ from plough_opt.motion.scene import Scene, quantities_of
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem, template
 from plough_opt.problem_file.schema import file_schema
+from plough_opt.problem_file.source import with_unit
 from plough_opt.soil.soil import named_soil, soil_names
 
 if TYPE_CHECKING:
@@ -45,6 +48,10 @@ if TYPE_CHECKING:
     from plough_opt.design import LocalOptimum
     from plough_opt.design.search.effort import Search
     from plough_opt.problem_file.sweep import ProblemSweep, What
+    from plough_opt.soil.record_waves import RecordWaves
+    from plough_opt.soil.strength import Rig
+    from plough_opt.studies.calibration import Fit, Measurements
+    from plough_opt.studies.calibration.fit import HeldOut
 
 
 _DESIGNS: Final = {
@@ -59,7 +66,7 @@ def init(options: argparse.Namespace) -> None:
         raise InputError(f"'{options.file}' cannot be written: create its folder first, or choose another place")
     path = write_new(options.file, "problem file", template())
     if options.json:
-        print(_json({"wrote": [str(path)]}))
+        print(json_text({"wrote": [str(path)]}))
         return
     line = f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}"
     console().print(line, soft_wrap=True)
@@ -69,19 +76,15 @@ def soils(options: argparse.Namespace) -> None:
     """List the named soils."""
     check_outputs(options)
     found = [named_soil(name) for name in soil_names()]
-    properties = [{**dataclasses.asdict(soil), "cone_index": cone_index(soil)} for soil in found]
+    properties = [{**asdict(soil), "cone_index": cone_index(soil)} for soil in found]
     units = {one.key: one.unit for one in QUANTITIES.values() if one.owner == "soil"} | {"cone_index": "Pa"}
     columns = {key: [one[key] for one in properties] for key in properties[0]}
-    give(options, tables.soils_page(found), lambda: _json(properties), frame=lambda: data_frame(columns, units))
-
-
-def _json(plain: object) -> str:
-    return json.dumps(plain, indent=2, allow_nan=False)
+    give(options, tables.soils_page(found), lambda: json_text(properties), frame=lambda: data_frame(columns, units))
 
 
 def schema(_options: argparse.Namespace) -> None:
     """Print the JSON schema of problem files."""
-    print(_json(file_schema()))
+    print(json_text(file_schema()))
 
 
 def check(options: argparse.Namespace) -> None:
@@ -104,16 +107,16 @@ def check(options: argparse.Namespace) -> None:
         with progress() as notify:
             notify("measuring the effects", 0.0)
             costs = effect_costs(problem.scene(), values.get("scene.duration"))
-        page = dataclasses.replace(page, parts=(*page.parts, *tables.effects_parts(costs)))
-        plain["effects"] = rows = [dataclasses.asdict(cost) for cost in costs]
+        page = replace(page, parts=(*page.parts, *tables.effects_parts(costs)))
+        plain["effects"] = rows = [asdict(cost) for cost in costs]
         frame = partial(data_frame, {key: [row[key] for row in rows] for key in rows[0]}, {})
     if options.against:
         from plough_opt.studies.crosscheck import compare
 
         comparison = compare(problem.scene(), **against)
-        page = dataclasses.replace(page, parts=(*page.parts, *tables.comparison_parts(problem, comparison)))
+        page = replace(page, parts=(*page.parts, *tables.comparison_parts(problem, comparison)))
         plain["comparison"], plot, frame = to_plain(comparison), comparison.plot, comparison.to_dataframe
-    give(options, page, lambda: _json(plain), plot, frame)
+    give(options, page, lambda: json_text(plain), plot, frame)
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -133,17 +136,12 @@ def optimise(options: argparse.Namespace) -> None:
         _optimise_robust(problem, options)
         return
     with progress() as notify:
-        best, run = problem.optimise(
-            notify,
-            parameters=options.sensitivity,
-            search=_search_of(options.search),
-            judge=options.judge,
-            seed=options.seed,
-        )
+        how: dict[str, Any] = {"search": _search_of(options.search), "judge": options.judge, "seed": options.seed}
+        best, run = problem.optimise(notify, parameters=options.sensitivity, **how)
         found = tables.sensitivities_of(best, notify) if options.sensitivity else ()
-    best = dataclasses.replace(best, sensitivities=found)
+    best = replace(best, sensitivities=found)
     page = best.page()
-    page = dataclasses.replace(page, parts=(*page.parts, *tables.further_results(problem, run)))
+    page = replace(page, parts=(*page.parts, *tables.further_results(problem, run)))
     page = tables.with_sensitivities(page, problem, found)
     give(options, page, lambda: best.to_json(page), best.plot, best.to_dataframe)
 
@@ -188,7 +186,7 @@ def accuracy(options: argparse.Namespace) -> None:
             duration: Any = problem.values().get("scene.duration")
             study = study_accuracy(problem.scene(), duration, allowance=options.seconds, **common)
     nominal = ("the study uses the nominal soil and ignores its uncertainty",) if problem.table.uncertain else ()
-    study = dataclasses.replace(study, origin=problem.origin, notes=(*study.notes, *nominal))
+    study = replace(study, origin=problem.origin, notes=(*study.notes, *nominal))
     give(options, study.page(), study.to_json, study.plot, study.to_dataframe)
 
 
@@ -198,15 +196,12 @@ def explore(options: argparse.Namespace) -> None:
     Raises:
         InputError: as `report`.
     """
-    from plough_opt.app.report import write_page
+    from plough_opt.app.report import page_of_command
 
-    optional("jinja2")  # before anything is read
     target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
-    problem = read(options)
-    with progress() as notify:
-        path = write_page(problem, target, notify, seed=options.seed)
+    _, path = page_of_command(options, target)
     if options.json:
-        print(_json({"wrote": [str(path)]}))
+        print(json_text({"wrote": [str(path)]}))
     elif options.output is None:
         webbrowser.open(f"{path.resolve().as_uri()}#explore")
     wrote(path)
@@ -246,7 +241,7 @@ def sweep(options: argparse.Namespace) -> None:
         found = plan.run(
             store=store, executor=executor, workers=workers or options.workers, progress=not quiet(), **rest
         )
-    try:
+    with found:
         give(options, found.page(), found.to_json, found.plot, found.to_dataframe, found.to_csv)
         if options.npz is not None:
             wrote(found.to_npz(options.npz))
@@ -255,8 +250,6 @@ def sweep(options: argparse.Namespace) -> None:
         if undetermined := len(list(found.undetermined)):
             lost = f"{undetermined} of {len(found)} points are undetermined, because workers ended while computing them"
             raise NotConverged(f"{lost}; run the same command with --retry to repeat them", "undetermined")
-    finally:
-        found.close()
 
 
 def _over(options: argparse.Namespace) -> dict[str, object]:
@@ -325,7 +318,7 @@ def export(options: argparse.Namespace) -> None:
     written = chosen.write(request)
     if options.json:
         paths = [str(path) for path in written.paths]
-        print(_json({"wrote": paths, "says": written.said, "next": written.next}))
+        print(json_text({"wrote": paths, "says": written.said, "next": written.next}))
         return
     if written.said:
         console().print(written.said, soft_wrap=True)
@@ -382,7 +375,7 @@ def _best(problem: Problem, *, bought: bool) -> Scene:
 
 
 # A relative difference below this is rounding.
-_ROUNDING = 1e-9
+_NO_CHANGE = 1e-9
 # SI unit -> results of a run that `compare` shows in one common unit.
 _RESULTS = {
     "N": ("mean_draft", "force_rms", "peak_force"),
@@ -430,7 +423,7 @@ def compare(options: argparse.Namespace) -> None:
     notes = tuple(f"{name}: {origins[name].file}, changed by --set: {text}" for name, text in changed.items())
     page = Page(f"{len(saved)} results side by side", (_table(saved, numbers), *notes))
     plain = {name: {key: value for key, (value, _) in own.items()} for name, own in numbers.items()}
-    give(options, page, lambda: _json(plain), lambda: _figure(saved), lambda: _frame(plain))
+    give(options, page, lambda: json_text(plain), lambda: _figure(saved), lambda: _frame(plain))
 
 
 def _frame(numbers: Mapping[str, Mapping[str, float]]) -> Any:
@@ -496,7 +489,7 @@ def _difference(values: Sequence[float | None], display: Display) -> str:
     if len(given) < 2:
         return ""
     change = given[1] - given[0] if len(values) == 2 else max(given) - min(given)
-    if abs(change) <= _ROUNDING * max(map(abs, given)):
+    if abs(change) <= _NO_CHANGE * max(map(abs, given)):
         return "0 %"
     return f"{100.0 * change / abs(given[0]):+.3g} %" if given[0] else display.text(change, 3)
 
@@ -523,3 +516,176 @@ def _table(saved: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[fl
         grid.row(called(key), *texts, _difference(values, display))
     grid.caption = "* this limit decides the design" if any("*" in cell for row in grid.rows for cell in row) else ""
     return grid
+
+
+# --- measurements: unknown quantities, and strength waves ---
+
+
+def calibrate(options: argparse.Namespace) -> None:
+    """Estimate a file's unknowns from measurements, and report which of them the data determine."""
+    problem = read(options)
+    from plough_opt.studies.calibration import calibrate as run
+    from plough_opt.studies.calibration import read_measurements
+    from plough_opt.studies.calibration.quality import check_level
+
+    check_level(options.level)
+    if options.hold_out_by is not None and options.hold_out is None:
+        raise InputError("--hold-out-by belongs to --hold-out: add a part of the rows, such as --hold-out 1/3")
+    files: dict[Path, Measurements] = {}  # so that a file given twice is the same object, which `run` refuses
+    data = [files.setdefault(Path(path).resolve(), read_measurements(path)) for path in options.data]
+    unknown = _unknowns(options.unknown)
+    if unknown is None and not problem.variables:
+        raise InputError(f'{problem.name}: add a table [variables], or --unknown soil.cohesion="1..80 kPa"')
+    _note_guesses(problem, unknown, data)
+    data += map(_known, options.known)
+    with progress() as notify:
+        notify("calibrating", 0.0)
+        fit = run(problem, data, unknown, loss=options.loss, errors=options.errors)
+        fit = replace(fit, origin=fit.origin.with_data(options.data))
+        notify("intervals", 0.5)
+        fit.intervals(options.level)
+        notify("what to measure next", 0.8)
+        fit = fit.complete(options.level)
+        held = _held_out(fit, options) if options.hold_out is not None else None
+        text = fit.to_json() if options.json or options.output is not None else ""
+        if held is not None and text:
+            text = json_text(json.loads(text) | {"held_out": held.plain()})
+        quality = "" if options.json else _quality(fit, options.folds)
+        page = fit.page()
+    more = (quality, held.words() if held is not None else "")
+    page = replace(page, parts=(*page.parts, *(sentence for sentence in more if sentence)))
+    give(options, page, lambda: text, fit.plot if held is None else held.plot, fit.to_dataframe)
+
+
+def _held_out(fit: Fit, options: argparse.Namespace) -> HeldOut:
+    """Return the predictions of the part of the rows that the options hold out."""
+    written = options.hold_out.strip()
+    try:
+        part = float(Fraction(written.removesuffix("%").strip())) / (100.0 if written.endswith("%") else 1.0)
+    except (ValueError, ZeroDivisionError):
+        raise InputError(f"--hold-out {written}: expected a part of the rows, like 1/3, 0.3 or 30 %") from None
+    return fit.hold_out(part, by=options.hold_out_by, seed=options.seed, level=options.level)
+
+
+def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:
+    """Return key -> (lower, upper) as the command line gives them, or None."""
+    found: dict[str, tuple[str, str]] = {}
+    for text in written:
+        key, *bounds = _split("--unknown", text, ("..",), 'soil.cohesion="1..80 kPa"')
+        if key in found:
+            raise InputError(f"--unknown {text}: '{key}' is given twice: remove one")
+        found[key] = bounds[0], bounds[1]
+    return found or None
+
+
+def _note_guesses(problem: Problem, unknown: Mapping[str, object] | None, data: Sequence[Measurements]) -> None:
+    """Log which variables of the file are neither unknown nor measured, and so are fixed at their guesses."""
+    columns = {key for m in data for key in m.conditions}
+    left = [] if unknown is None else [key for key in problem.variables if key not in unknown and key not in columns]
+    if left:
+        LOG.info("note: variables of the file fixed at their guesses: %s", ", ".join(left))
+
+
+def _known(text: str) -> Measurements:
+    """Return a separate measurement of an unknown as measurements of one row."""
+    from plough_opt.studies.calibration import Measurements
+
+    key, *written = _split("--known", text, ("+-", "±"), 'soil.friction_angle="28 +- 1 deg"')
+    unit = quantities()[key]
+    with about(f"--known {text}: '{key}'"):
+        value, sigma = map(unit.parse, written)
+    return Measurements(key, [value], sigma=sigma, name=f"--known {key}")
+
+
+def _split(option: str, text: str, marks: Sequence[str], example: str) -> tuple[str, str, str]:
+    """Return a key and the two quantities around a mark; the first takes the unit of the second if it has none."""
+    key, _, written = (part.strip() for part in text.partition("="))
+    mark = next((mark for mark in marks if mark in written), marks[0])
+    first, _, second = (part.strip() for part in written.strip("\"'").partition(mark))
+    if not (first and second):
+        raise InputError(f"{option} {text}: expected KEY=..., like {example}")
+    if key not in quantities():
+        raise InputError(f"{option} {text}: '{key}' cannot be an unknown: {nearest(key, quantities())}")
+    return key, with_unit(first, second), second
+
+
+def _quality(fit: Fit, folds: int | None) -> str:
+    """Return a sentence on the errors in cross-validation, or on why there is none."""
+    try:
+        found = fit.cross_validation(folds)
+    except (InputError, NotConverged) as error:
+        if folds is not None and isinstance(error, InputError):
+            raise
+        return f"No cross-validation: {error}."
+    units = {row.result: row.unit for row in fit.rows}
+    errors = "; ".join(f"{name} {_text(x, units[name])} (fitted rows {_text(found.rms_fitted[name], units[name])})"
+                       for name, x in found.rms.items())  # fmt: skip
+    return f"RMS error of rows left out of the fit, {found.folds} folds: {errors}."
+
+
+def _text(value: float, unit: str) -> str:
+    return customary(unit, value).text(value, 3)
+
+
+def waves(options: argparse.Namespace) -> None:
+    """Find the waves in a record, and print them as entries of a problem file."""
+    from plough_opt.problem_file.field_data import read_strength_record
+    from plough_opt.soil.record_waves import strength_waves
+
+    check_outputs(options)
+    rig = given_quantities(options, RIG)
+    record = read_strength_record(options.file, _rig(rig), tow_speed=rig.get("tow_speed"))
+    found = strength_waves(record, options.part, **given_quantities(options, RECORDED_SHARE))
+    give(options, _waves_page(found), lambda: json_text(_waves_plain(found)), found.plot, lambda: _waves_frame(found))
+
+
+def _waves_frame(found: RecordWaves) -> Any:
+    """Return a data frame with a row for each wave, in SI units."""
+    names = {"amplitude": "", "wavelength": "m", "phase": "rad"}
+    columns = {name: [float(getattr(one.wave, name)) for one in found.found] for name in names}
+    return data_frame({**columns, "part": [one.part for one in found.found]}, names)
+
+
+def _rig(given: dict[str, float]) -> Rig | None:
+    """Return the rig that the options describe, or None."""
+    from plough_opt.soil.strength import Rig
+
+    if not {"mass", "stiffness", "damping"} & {*given}:
+        return None
+    if missing := [f"--{name}" for name in RIG if name != "damping" and name.replace("-", "_") not in given]:
+        raise InputError(f"a rig also needs {', '.join(missing)}: add these options (--damping is 0 by default)")
+    return Rig(given["mass"], given["stiffness"], given.get("damping", 0.0), given["tow_speed"])
+
+
+def _waves_page(found: RecordWaves) -> Page:
+    """Return the waves as a table and as entries of a problem file."""
+    table = Grid.of("Strength waves, with 95 % intervals", "amplitude", "wavelength", "phase", "part of the variance")
+    entries = []
+    for number, one in enumerate(found.found, start=1):
+        amplitude, wavelength, phase = one.wave.amplitude, one.wave.wavelength, math.degrees(float(one.wave.phase))
+        table.row(
+            f"{amplitude:.3g} ± {one.amplitude:.1g}",
+            f"{wavelength:.4g} ± {one.wavelength:.1g} m",
+            f"{phase:.0f} ± {math.degrees(one.phase):.1g} deg",
+            f"{100.0 * one.part:.0f} %",
+        )
+        name = wave_table(number).removeprefix("effects.")
+        written = f'amplitude = {amplitude:.4g}, wavelength = "{wavelength:.5g} m", phase = "{phase:.4g} deg"'
+        entries.append(f"{name} = {{ {written} }}")
+    spread = (
+        f"The strength has a standard deviation of {100.0 * math.sqrt(found.variance):.3g} % of its trend; the waves"
+        f" omit {100.0 * found.left_out:.0f} % of the variance."
+    )
+    footer = "\n".join(["\n[effects]", *entries]) if entries else ""
+    return Page("", parts=(table, spread), notes=found.notes, footer=footer)
+
+
+def _waves_plain(found: RecordWaves) -> dict[str, object]:
+    """Return the waves and the spectrum as plain values for JSON, in SI units."""
+    names, columns = ("amplitude", "wavelength", "phase"), ("wave_number", "density", "lower", "upper")
+    waves = [{name: [getattr(one.wave, name), getattr(one, name)] for name in names} for one in found.found]
+    return {
+        "waves": [own | {"part": one.part} for own, one in zip(waves, found.found, strict=True)],
+        **{name: getattr(found, name) for name in ("variance", "left_out", "notes")},
+        "spectrum": {name: getattr(found.spectrum, name).tolist() for name in columns},
+    }

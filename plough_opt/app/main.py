@@ -9,7 +9,6 @@ continues when it is started again).
 import argparse
 import contextlib
 import io
-import json
 import os
 import re
 import sys
@@ -22,7 +21,7 @@ from typing import Any, Final, NoReturn
 
 import shtab
 
-from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError, nearest, printable
+from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError, about, nearest, printable
 from plough_opt.core.process import load_additions, without_notices
 from plough_opt.core.units import Unit
 
@@ -87,7 +86,7 @@ RIG: Final = {
 """Options that describe the rig of a strength record."""
 
 RECORDED_SHARE: Final = {
-    "base-diameter": QuantityOption("m", "0.136 m", "base diameter of the share, over which strength is averaged"),
+    "base-diameter": QuantityOption("m", "0.136 m", "base diameter of the share, over which strength is averaged")
 }
 """Options that describe the share whose strength waves are wanted."""
 
@@ -113,10 +112,8 @@ def given_quantities(options: argparse.Namespace, declared: Mapping[str, Quantit
         if written is None:
             continue
         texts = written if option.several else [written]
-        try:
+        with about(f"--{name}"):
             parsed = [text if option.unit is None else Unit(option.unit).parse(text) for text in texts]
-        except InputError as error:
-            raise InputError(f"--{name} {error}") from None
         values[option.argument or name.replace("-", "_")] = parsed if option.several else parsed[0]
     return values
 
@@ -378,7 +375,7 @@ _COMMANDS: Final = {
     "init": _Command("write a commented problem file to start from", _init, reads=False),
     "soils": _Command("list the named soils and where their values come from", partial(_Parser.results, plot=None),
                       reads=False),
-    "waves": _Command("find the strength waves in a record along a field", _waves, "field_data", reads=False),
+    "waves": _Command("find the strength waves in a record along a field", _waves, reads=False),
     "show": _Command("print a saved result again, and its origin", _show, reads=False),
     "compare": _Command("print saved designs or runs side by side", _compare, reads=False),
     "schema": _Command("print the JSON schema of problem files, for checks in an editor", lambda _: None, reads=False),
@@ -389,7 +386,7 @@ _COMMANDS: Final = {
     "optimise": _Command("find the best share, and the limits that decide it", _optimise),
     "tradeoff": _Command("compute the Pareto front of two or three results", _tradeoff),
     "sweep": _Command("simulate or optimise at every point of a grid or a sample", _sweep),
-    "calibrate": _Command("estimate soil parameters from measured draft", _calibrate, "field_data"),
+    "calibrate": _Command("estimate soil parameters from measured draft", _calibrate),
     "export": _Command("write the scene for other tools: C, CasADi, OpenMDAO, FMU", _export),
     "report": _Command("write everything about the best share as one HTML page", _report, "report"),
     "explore": _Command("open a page that computes any other design, beside the report", _explore),
@@ -462,10 +459,10 @@ def _give_conflicts(options: argparse.Namespace, error: InfeasibleDesign) -> Non
     """Print the conflicts of an infeasible design as JSON under --json, and write them with --output."""
     from plough_opt.app.terminal import messages, wrote
     from plough_opt.core.files import write_file
-    from plough_opt.core.plain_data import to_plain
+    from plough_opt.core.plain_data import json_text, to_plain
 
     plain = {"kind": "infeasible design", "message": str(error), **to_plain(vars(error))}
-    text = json.dumps(plain, indent=2, allow_nan=False)
+    text = json_text(plain)
     if options.json:
         print(text)
     if hasattr(options, "by_pandas") and options.output is not None:  # other commands write no JSON there

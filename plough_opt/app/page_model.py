@@ -234,19 +234,23 @@ def _declared(one: Variable | Parameter, displays: Mapping[str, Display]) -> dic
     """Return name, unit, bounds and domain of a variable or parameter of a design."""
     if isinstance(one, Variable):
         value, display, low, high, ends = one.guess, one.shown, one.lower, one.upper, (one.lower, one.upper)
+        group, log = "variables", bool(one.log)
         why = "the steps of this page resolve the motion between these bounds"
     else:
         value, ends, why = one.value, one.domain, ""
+        group, log = one.name.rpartition(".")[0] or "parameters", False
         size, display = abs(value) or 1.0, displays.get(one.name) or customary(one.unit, value)
         low, high = max(ends[0], value - size / 2.0), min(ends[1], value + size)
     limit = DomainLimit(one.name, one.unit, at_least=max(ends[0], -LARGEST), at_most=min(ends[1], LARGEST), why=why)
-    chosen = isinstance(one, Variable)
-    group = "variables" if chosen else one.name.rpartition(".")[0] or "parameters"
+    about = {"lower": low, "upper": high, "log": log, "value": value, "steps": None}
+    return about | _named(one.name, one.unit, display, group, limit)
+
+
+def _named(name: str, unit: str, display: Display, group: str, limit: DomainLimit) -> dict[str, Any]:
+    """Return what the page says of a quantity, besides its value and where it moves."""
     return {
-        "name": one.name, "label": called(one.name), "group": group,
-        "unit": one.unit, **shown_in(display), "lower": low, "upper": high,
-        "log": isinstance(one, Variable) and bool(one.log),
-        "value": value, "variable": chosen, "steps": None, "limit": _limit(limit),
+        "name": name, "label": called(name), "unit": unit, **shown_in(display), "group": group,
+        "variable": group == "variables", "limit": _limit(limit),
     }  # fmt: skip
 
 
@@ -382,11 +386,9 @@ def _input(problem: Problem, key: str, value: float, variable: FileVariable | No
     low = min(value, variable.lower) if variable else max(quantity.low, limit.at_least, value - size / 2.0)
     high = max(value, variable.upper) if variable else min(quantity.high, limit.at_most, value + size)
     group = "variables" if key in problem.variables else quantity.owner
-    return {
-        "name": key, "label": called(key), "group": group, "unit": quantity.unit,
-        **shown_in(display), "lower": low, "upper": high, "log": bool(variable and variable.log), "value": value,
-        "variable": key in problem.variables, "steps": _steps(variable), "limit": _limit(limit),
-    }  # fmt: skip
+    log, steps = bool(variable and variable.log), _steps(variable)
+    about = {"lower": low, "upper": high, "log": log, "value": value, "steps": steps}
+    return about | _named(key, quantity.unit, display, group, limit)
 
 
 def _domain(problem: Problem, quantity: Quantity) -> DomainLimit:

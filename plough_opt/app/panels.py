@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.expressions import as_number, sin
-from plough_opt.core.files import COLOURS
+from plough_opt.core.files import COLOURS, CONSTANT, figure_of_size
 from plough_opt.core.units import Display
 from plough_opt.motion import Run
 from plough_opt.motion.equation import GAP, STICK, Structure, parameters
@@ -20,15 +20,11 @@ from plough_opt.motion.vocabulary import called
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from plough_opt.design import Limit
 
 SHARE, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
 """Colours in every picture: the share's motion and force, limits, the soil, and the strut."""
-CONSTANT: Final = 1e-6
-"""Relative change below which a result counts as constant: smaller changes are rounding."""
-
 # Frames per second.
 _RATE: Final = 15.0
 # Frames in a GIF, which keep it at about 2 MB.
@@ -114,13 +110,6 @@ def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str,
     return [(called(name), end) for name in names for end in every.get(name, ()) if end is not None]
 
 
-def figure_of(width: float, height: float) -> Figure:
-    """Return an empty figure of a size [in]; matplotlib is loaded only to draw."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
     """Draw a panel: lines, mean with a band of ± RMS, limits, and above all lines a legend in columns that fit.
 
@@ -186,7 +175,7 @@ def gif(run: Run, slower: float) -> bytes:
 
     seconds = float(run.time[-1]) * slower
     count = max(2, min(_MAX_FRAMES, math.ceil(seconds * _RATE)))
-    figure = figure_of(8.0, 5.0)
+    figure = figure_of_size(8.0, 5.0)
     figure.set_dpi(80)
     canvas = FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, height_ratios=(1.3, 1.0))

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.app.panels import LIMIT, SHARE, SOIL, changing, draw_panel, figure_of, limits_of, subject
+from plough_opt.app.panels import LIMIT, SHARE, SOIL, changing, draw_panel, limits_of, subject
 from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
-from plough_opt.core.files import COLOURS, save_figure
+from plough_opt.core.files import COLOURS, figure_of_size, figure_with_panels, save_figure, scale_of
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import customary
 from plough_opt.design import Limit, LocalOptimum, Optimum
@@ -47,8 +47,6 @@ SIDE_BY_SIDE: Final = {"mount_force": "N", "deflection": "m"}
 _LEAST_ROOM = 0.02
 # Points in one panel: more would hide each other.
 _MOST_POINTS = 20_000
-# A variable whose largest value exceeds the smallest by more than this factor has a logarithmic axis.
-_LOG_RATIO = 20.0
 # Panels of the search in one row.
 _PANELS = 3
 # Colours of designs that fail a requirement, and of the share.
@@ -83,7 +81,7 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
     for limit in limits:
         check_kind("a limit", limit, Limit, "one of an optimum's limits")
     panels = changing(run, limits)
-    figure = figure_of(9, 1.0 + 2.3 * max(1, len(panels)))
+    figure = figure_of_size(9, 1.0 + 2.3 * max(1, len(panels)))
     figure.suptitle(subject(run))
     if not panels:
         axes = figure.subplots()
@@ -116,12 +114,11 @@ def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
         2
     """
     first = next(iter(designs.values()))
-    figure = figure_of(8, 0.9 + 0.75 * len(first.limits))
+    figure = figure_of_size(8, 0.9 + 0.75 * len(first.limits))
     rows = figure.subplots(len(first.limits), 1, squeeze=False)[:, 0]
     for axes, limit in zip(rows, first.limits, strict=True):
-        _draw_limit(
-            axes, limit, [next((x for x in one.limits if x.name == limit.name), None) for one in designs.values()]
-        )
+        found = (next((x for x in one.limits if x.name == limit.name), None) for one in designs.values())
+        _draw_limit(axes, limit, [*found])
     for name, colour in zip(designs, itertools.cycle(COLOURS), strict=False):
         rows[0].plot([], [], "o", color=colour, label=name)
     figure.legend(loc="outside lower center", ncols=min(4, len(designs)), fontsize="small")
@@ -149,7 +146,7 @@ def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None
     every = [*ends, *(value for value in values if value is not None)]
     room = max(0.08 * (max(every) - min(every)), _LEAST_ROOM * max(map(abs, every))) or 1.0
     axes.set(ylim=(-1.0, 1.0), yticks=[], xlim=(min(every) - room, max(every) + room))
-    if limit.low is not None and limit.high is not None and 0.0 < 20.0 * limit.low < limit.high:
+    if len(ends) == 2 and scale_of(ends) == "log":
         axes.set(xscale="log", xlim=(0.8 * min(every), 1.25 * max(every)))
     axes.set_ylabel(limit.shown.heading(called(limit.name)), rotation=0, ha="right", va="center")
     axes.spines[["left", "right", "top"]].set_visible(False)
@@ -203,8 +200,8 @@ def plot_forces(runs: Mapping[str, Run]) -> Figure:
         >>> po.plots.plot_forces({"stiff": run}).axes[0].get_xlabel()
         'time [s]'
     """
-    figure = figure_of(8.0, 4.0)
-    draw_side_by_side(figure.subplots(), runs, "mount_force", next(iter(runs.values())).origin)
+    figure, (axes,) = figure_with_panels(1, 1, (8.0, 4.0))
+    draw_side_by_side(axes, runs, "mount_force", next(iter(runs.values())).origin)
     return figure
 
 
@@ -223,7 +220,7 @@ def plot_share(scene: Scene) -> Figure:
         ['Faces of the share, unfolded', 'Equivalent cone (equal height and surface)']
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
-    figure = figure_of(13, 4.4)
+    figure = figure_of_size(13, 4.4)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.24))
     draw_cone(right, scene)
     right.set_ylabel("")
@@ -255,7 +252,7 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
     y = length * np.linspace(-0.8, 0.8, 162)  # an even number, so that no row hits the singular nodes on the axis
     along, across = np.meshgrid(x, y)
     field = wedge_stress(along, across, profile, soil, speed)
-    figure = figure_of(12, 4.8)
+    figure = figure_of_size(12, 4.8)
     for axes, name, values in zip(figure.subplots(1, 2), ("yy", "xy"), (field.yy, field.xy), strict=True):
         # Stresses are infinite at the nodes, so the colour scale ends at the 99th percentile.
         largest = float(np.quantile(absolute(as_number(values)), 0.99)) / 1e3
@@ -288,8 +285,7 @@ def plot_batch(found: BatchResult) -> Figure:
         'mean draft [kN]'
     """
     check_kind("the batch", found, BatchResult, "a BatchResult, as returned by po.Batch")
-    figure = figure_of(6.5, 4.5)
-    axes = figure.subplots()
+    figure, (axes,) = figure_with_panels(1, 1, (6.5, 4.5))
     step = max(1, len(found) // _MOST_POINTS)
     axes.plot(found.mean_draft[::step] / 1e3, found.force_rms[::step] / 1e3, ".", color=SHARE, markersize=4)
     axes.set(xlabel="mean draft [kN]", ylabel="RMS of the mount force [kN]")
@@ -306,7 +302,7 @@ def plot_machine(machine: Machine) -> Figure:
         2
     """
     check_kind("the machine", machine, Machine, "a Machine of numeric runs")
-    figure = figure_of(9.0, 6.0)
+    figure = figure_of_size(9.0, 6.0)
     figure.suptitle(machine.origin.title)
     for axes, name in zip(figure.subplots(2, 1, sharex=True), SIDE_BY_SIDE, strict=True):
         draw_side_by_side(axes, machine.runs, name, machine.origin)
@@ -334,7 +330,7 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     rows = -(-len(panels) // _PANELS)
     response = [p for p in changing(run, best.limits) if p.name != "speed"] if isinstance(run, Run) else []
     heights = [3.2] * (2 if response else 1) + [3.0] * rows
-    figure = figure_of(12.5, 0.8 + sum(heights))
+    figure = figure_of_size(12.5, 0.8 + sum(heights))
     figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)
     top, *below = np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False))
     left = [top.add_subplot(1, 3 if required else 2, k) for k in (1, 2)]
@@ -498,8 +494,7 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
         named = None if k > 1 else ("best" if k == 0 else "other local optima")
         axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=LIMIT, zorder=3,
                   markeredgecolor="white", label=named)  # fmt: skip
-    if np.min(values) > 0 and np.max(values) / np.min(values) > _LOG_RATIO:
-        axes.set_xscale("log")
+    axes.set_xscale(scale_of(values))
     _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
     axes.set_xlabel(display.heading(called(name)))
     if variable % _PANELS == 0:

@@ -1,28 +1,528 @@
-"""`plough-opt report`: everything about a file's best share on one HTML page that loads nothing else; animations."""
+"""`plough-opt report`: everything about a file's best share on one HTML page that loads nothing else; animations.
+
+The contents come first, section by section: texts, tables, and the data of the pictures. Pages and commands follow.
+"""
+
+from __future__ import annotations
 
 import argparse
-import json
-from dataclasses import replace
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
-from plough_opt.app.page import Report, design_page, motion_page, page, shown_of
-from plough_opt.app.page_model import design_model, frame_model
-from plough_opt.app.panels import changing, gif, subject
+import numpy as np
+
+from plough_opt.app.page_model import PageModel, design_model, frame_model, page_model, shown_in, without_random
+from plough_opt.app.panels import Panel, changing, deflection_of, force_of, gif, subject
+from plough_opt.app.tables import ROUNDING
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.checks import check_domain, path_of, whole_number
-from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.errors import InputError, NotConverged, listed
 from plough_opt.core.expressions import as_number
-from plough_opt.core.files import check_file, write_file
+from plough_opt.core.files import COLOURS, check_file, text_of, write_file
+from plough_opt.core.plain_data import json_text
 from plough_opt.core.process import optional
-from plough_opt.core.quantities import BESIDE
+from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import versions
-from plough_opt.design import Design, Progress, Sensitivity
+from plough_opt.core.tables import Grid
+from plough_opt.core.units import Display
+from plough_opt.design import Design, Limit, Optimum, Progress, Sensitivity
+from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
-from plough_opt.motion.run import Machine
+from plough_opt.motion.run import ARRAYS, Machine
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem, read_problem
-from plough_opt.problem_file.written import problem_of
+from plough_opt.problem_file.schema import measures_of
+from plough_opt.problem_file.written import problem_of, tables_of
+from plough_opt.soil.geometry import Solid, Wedge
+
+if TYPE_CHECKING:
+    from plough_opt.studies.tradeoff import TradeOff
+    from plough_opt.studies.tradeoff.front import FrontPoint
+
+
+@dataclass(frozen=True)
+class Report:
+    """Contents of a report.
+
+    Attributes:
+        problem: the file.
+        run: run of the best design, or of the file's scene if it has no variables.
+        best: the optimum, if the file has variables.
+        sensitivities: sensitivities of the optimum, the largest first.
+        unknown: reason why there are no sensitivities, or "".
+        provenance: heading -> text of everything that identifies how the report was made.
+        text: text of the problem file.
+        front: front of the traded results, if the file trades some.
+    """
+
+    problem: Problem
+    run: Run
+    best: Optimum | None = None
+    sensitivities: tuple[Sensitivity, ...] = ()
+    unknown: str = ""
+    provenance: dict[str, str] = field(default_factory=dict)
+    text: str = ""
+    front: TradeOff | None = None
+
+    def display(self, key: str, unit: str, *values: float) -> Display:
+        """Return the unit in which the file writes a quantity or result, or a customary one for these SI values."""
+        return self.problem.origin.display(key, unit, *values)
+
+    def shown(self, key: str, value: float, unit: str, digits: int = 4) -> str:
+        """Return an SI value as text in the unit of `display`."""
+        return nice(self.display(key, unit, value).text(value, digits))
+
+    @property
+    def results(self) -> dict[str, str]:
+        """Name -> text of the run's averages and peaks, with one unit for each kind of quantity."""
+        return {name: nice(value) for name, value in self.run.response().rows}
+
+
+def nice(text: str) -> str:
+    """Return a quantity for display: superscript powers, ° for degrees, no line break between number and unit."""
+    text = re.sub(r"\^([23])", lambda power: "²³"["23".index(power[1])], text)
+    return re.sub(r" deg\b", "°", text).replace("*", "·").replace(" ", "\u00a0")
+
+
+def answer(report: Report) -> str:
+    """Return the answer as one sentence."""
+    best, problem = report.best, report.problem
+    if best is None and report.front is not None:
+        ends = [f"{called(goal.name)} from {goal_text(report, k, 0)} to {goal_text(report, k, -1)}"
+                for k, goal in enumerate(report.front.goals)]  # fmt: skip
+        shown = f"the {_place_of(report.front)} of the front"
+        return f"{len(report.front.points)} efficient designs: {listed(ends)}. Shown below: {shown}."
+    if best is None:
+        return f"This share needs a mean draft of {report.results['mean draft']}."
+    values = [f"{called(key)} {nice(v.display.text(best.variables[key], 4))}" for key, v in problem.variables.items()]
+    state = {"solved": "Best design", "not unique": "A best design (not unique)"}
+    found = f"{state.get(best.status, 'Best design found (not confirmed by derivatives)')}: {', '.join(values)}."
+    if best.bought is None:
+        return found
+    chosen = best.bought.variables
+    made = (f"{called(key)} {nice(v.display.result(chosen[key]))}" for key, v in problem.variables.items())
+    return f"{found} From the catalogue: {', '.join(made)} (objective {best.bought.cost_in_words})."
+
+
+def question(report: Report) -> list[str]:
+    """Return the design question, one text for each paragraph."""
+    problem, table = report.problem, report.problem.table
+    if report.best is None and report.front is not None:
+        goals = [f"{'more' if goal.maximise else 'less'} {called(goal.name)}" for goal in report.front.goals]
+        text = [f"Choose {listed([called(key) for key in problem.variables])} for {listed(goals)}."]
+    elif report.best is None:
+        return ["What draft does this share need, and how does it move? The file has no variables."]
+    else:
+        terms = [f"{called(name)} in units of {nice(str(term.per))}" for name, term in table.minimise.items()]
+        text = [f"Choose {listed([called(key) for key in problem.variables])} to minimise {' plus '.join(terms)}."]
+    limits = [f"{called(name)} {limits_of(problem, name)}" for name in table.require]
+    if limits:
+        text.append(f"Required: {listed(limits)}.")
+    if report.best is not None and report.best.over:
+        text.append(f"{report.best.over.capitalize()}.")
+    return text
+
+
+def limits_of(problem: Problem, name: str) -> str:
+    """Return a requirement's limits as the file writes them; a requirement not in the file comes from the model."""
+    own = problem.table.require.get(name)
+    return "domain of the theory" if own is None else ", ".join(map(nice, own.words.split(", ")))
+
+
+def margin_of(limit: Limit) -> tuple[float, float]:
+    """Return the margin of a requirement without its rounding, and as a part of the limit."""
+    margin = 0.0 if limit.active or abs(limit.margin) < ROUNDING else limit.margin
+    return margin, margin / max(abs(limit.value), abs(limit.value + margin), ROUNDING)
+
+
+def response(report: Report) -> Grid:
+    """Return a table of the averages and peaks of the run."""
+    return Grid.pairs("Averages over the run, and peaks", *report.results.items())
+
+
+def share(report: Report) -> Grid:
+    """Return a table of the dimensions of the share and of its cone."""
+    body, cone = report.run.scene.share, report.run.scene.cone
+    assert isinstance(body, Wedge)  # as of every problem file
+    length = report.display("share.height", "m", float(cone.height))
+    angle = report.display("share.wedge_angle", "rad")
+    rows = [
+        ("wedge angle", angle.text(float(body.angle), 4)),
+        ("chisel angle", angle.text(float(body.chisel_angle), 4)),
+        ("area of the two faces", f"{1e4 * body.area:.4g} cm^2"),
+        ("angle between the faces, as drawn", angle.text(body.opening, 4)),
+        ("height", length.text(float(cone.height), 4)),
+        ("half angle of the cone", angle.text(float(cone.half_angle), 4)),
+        ("base radius of the cone", length.text(float(cone.height * cone.slope), 4)),
+        ("moving mass, frame and share", f"{float(report.run.scene.mass):.4g} kg"),
+    ]
+    return Grid.pairs("Dimensions", *((name, nice(value)) for name, value in rows))
+
+
+def optima(report: Report) -> Grid | None:
+    """Return a table of the local optima, if there are several."""
+    best = report.best
+    if best is None or len(best.local_optima) < 2:
+        return None
+    keys = report.problem.variables
+    grid = Grid.of("Local optima found, best first", "", "objective", *map(called, keys))
+    for one in best.local_optima:
+        values = (nice(v.display.result(one.variables[key])) for key, v in keys.items())
+        grid.row(one.name, f"{one.objective:.6g}", *values)
+    return grid
+
+
+def bought(report: Report) -> Grid | None:
+    """Return a table of the best design in catalogue values, if the file has catalogues."""
+    best = report.best
+    if best is None or best.bought is None:
+        return None
+    grid, _ = best.bought.comparison(best)
+    grid.rows = [(called(name), *map(nice, cells)) for name, *cells in grid.rows]
+    return grid
+
+
+def shown_of(front: TradeOff) -> FrontPoint:
+    """Return the point of a front that the page shows: its knee, or one in the middle."""
+    return front.knee or front.points[len(front.points) // 2]
+
+
+def _place_of(front: TradeOff) -> str:
+    return "middle" if front.knee is None else "knee"
+
+
+def goal_text(report: Report, goal: int, point: int) -> str:
+    """Return the value of a traded result at a point of the front."""
+    assert report.front is not None  # the page asks only then
+    axis = report.front.goals[goal]
+    return report.shown(axis.name, float(report.front.objectives[point, goal]), axis.unit)
+
+
+def traded(report: Report) -> list[Grid | str]:
+    """Return the table of the front, and sentences on its holes and its knee."""
+    return [] if report.front is None else list(report.front.page().parts)
+
+
+def front(report: Report) -> list[dict[str, Any]]:
+    """Return a chart of a front of two results."""
+    found = report.front
+    if found is None or len(found.goals) != 2:
+        return []
+    axes = [report.display(goal.name, goal.unit, *found.objectives[:, k]) for k, goal in enumerate(found.goals)]
+    columns = [found.objectives[:, k] / axis.factor for k, axis in enumerate(axes)]
+    x, y = ({"label": called(goal.name), "unit": _unit(axis)} for goal, axis in zip(found.goals, axes, strict=True))
+    groups = [_group("efficient", _BLUE, 7, *columns)]
+    if found.knee is not None:
+        place = found.points.index(found.knee)
+        groups.append(_group("knee", _RED, 12, *([one[place]] for one in columns)))
+    says = f"{y['label']} over {x['label']} of {len(found.points)} efficient designs."
+    return [{"id": "front", "title": "Front", "says": says, "x": x, "y": y, "groups": groups}]
+
+
+def scene(report: Report) -> Grid:
+    """Return a table of the fixed quantities and effects of the scene."""
+    fixed = report.problem.fixed
+    rows = [
+        (called(key), report.shown(key, x, EVERY[key].unit)) for key, x in fixed.items() if EVERY[key].owner != "soil"
+    ]
+    effects = report.problem.table.effects
+    rows += [("contact", effects.contact.replace("_", " and ")), ("start", effects.start)]
+    if effects.orbit != "transient":
+        rows.append(("orbit", effects.orbit.replace("_", " ")))
+    return Grid.pairs("Fixed in the scene", *rows)
+
+
+def soil(report: Report) -> Grid:
+    """Return a table of the properties of the soil."""
+    own = report.run.scene.soil
+    rows = []
+    for name, quantity in QUANTITIES.items():
+        value = getattr(own, quantity.key, None) if quantity.owner == "soil" else None
+        if value is not None:
+            rows.append((quantity.meaning, report.shown(name, float(value), quantity.unit, 5)))
+    if not report.run.scene.law.lacks("cone_index"):
+        rows.append(("cone index of a penetrometer", nice(f"{float(cone_index(own)) / 1e3:.4g} kPa")))
+        share = 100.0 * float(report.run.scene.ambient_share)
+        rows.append(("part of the static draft due to ambient pressure", f"{share:.0f} %"))
+    return Grid.pairs(own.name, *rows)
+
+
+def sensitivities(report: Report) -> list[Sensitivity]:
+    """Return the sensitivities to each quantity or limit that changes the objective, the largest first."""
+    return [one for one in report.sensitivities if one.elasticity is not None and abs(one.elasticity) > ROUNDING]
+
+
+def moves(one: Sensitivity) -> str:
+    """Return in words what one per cent more does to the variables."""
+    moved = [(name, x) for name, x in one.elasticities.items() if x is not None and abs(x) > ROUNDING]
+    return ", ".join(f"{called(name)} {x:+.2g}\u00a0%" for name, x in moved)
+
+
+def accuracy(report: Report) -> Grid:
+    """Return a table of error estimates and computing times."""
+    run, best = report.run, report.best
+    rows = [
+        ("integration", f"{run.accuracy.method}, {len(run.time) - 1} intervals over {run.duration:g} s"),
+        ("estimated relative error of every result", f"{run.error_estimate:.0e}"),
+        ("time of the run and its check", f"{run.seconds:.2g} s"),
+    ]
+    if best is not None:
+        rows += [
+            ("difference of the objective between two accurate integrations", f"{best.error_estimate:.0e}, relative"),
+            ("difference between this objective and the optimiser's own", f"{best.gap:.0e}, relative"),
+            ("time of the search and the solve", f"{best.seconds:.2g} s"),
+        ]
+    return Grid.pairs("Errors and computing times", *rows)
+
+
+def notes(report: Report) -> list[str]:
+    """Return all warnings as sentences."""
+    found = [*(report.best.warnings if report.best else ()), *report.run.warnings]
+    if report.best is not None:
+        found = [*filter(None, [report.best.keeping()]), *found]
+        for direction in report.best.flat_directions:
+            names = listed([called(name) for name, change in direction.items() if change])
+            found.append(f"the optimum is not unique: the result does not change along {names}; fix one of these")
+        for name in dict.fromkeys(name for one in report.sensitivities for name in one.touching):
+            found.append(f"{called(name)} is just met: sensitivities apply to increasing values")
+    return [f"{text[:1].upper()}{text[1:]}." for text in dict.fromkeys(found)]
+
+
+def searched(report: Report) -> str:
+    """Return a sentence on the search, or ""."""
+    text = "" if report.best is None or report.best.search is None else str(report.best.search)
+    for key in sorted(EVERY, key=len, reverse=True):
+        text = text.replace(key, EVERY[key].called)
+    return text
+
+
+def place(value: float, lower: float, upper: float, log: bool) -> float:
+    """Return the position of a value between bounds, from 0 to 1."""
+    if log:
+        value, lower, upper = math.log(value), math.log(lower), math.log(upper)
+    return (value - lower) / (upper - lower)
+
+
+_BLUE, _RED, _GREEN, _PURPLE, _ORANGE, _, _GREY = COLOURS
+# Sides of the polygon that represents a cone's base: a circle at the resolution of a screen.
+_SIDES: Final = 96
+# Significant digits of the data: more than a screen resolves.
+_DIGITS: Final = 6
+
+
+def charts(report: Report) -> list[dict[str, Any]]:
+    """Return the charts of force, deflection and speed over time, except those that are constant."""
+    return [_chart(report.run, panel) for panel in changing(report.run)]
+
+
+def _chart(run: Run, panel: Panel) -> dict[str, Any]:
+    """Return the chart of a panel over time."""
+    unit = panel.unit
+    extremes = [
+        f"{label} from {unit.text(float(np.min(values)), 3)} to {unit.text(float(np.max(values)), 3)}"
+        for label, (values, _, _) in panel.lines.items()
+    ]
+    lines = [(f"limit of {words}", end, _RED, "") for words, end in panel.limits]
+    band: tuple[float, ...] = ()
+    if panel.mean is not None:
+        name, mean, rms = panel.mean
+        lines.insert(0, (f"{name} ± RMS", mean, "#000000", "dash"))
+        band = mean - rms, mean + rms
+    return {
+        "id": panel.name,
+        "title": _sentence(panel.name),
+        "says": f"{_sentence(panel.name)} over {run.duration:.3g} s: {'; '.join(extremes)}.",
+        "x": {"label": "time", "unit": "s", "values": _short(run.time)},
+        "y": {"label": panel.name, "unit": _unit(unit)},
+        "series": [
+            {"label": label, "colour": colour, "dash": "dash" * dashed, "values": _short(values / unit.factor)}
+            for label, (values, colour, dashed) in panel.lines.items()
+        ],
+        "band": [end / unit.factor for end in band],
+        "lines": [
+            {"label": label, "value": value / unit.factor, "colour": colour, "dash": dash}
+            for label, value, colour, dash in lines
+        ],
+    }
+
+
+def _group(label: str, colour: str, size: int, x: Iterable[float], y: Iterable[float]) -> dict[str, Any]:
+    return {"label": label, "colour": colour, "size": size, "x": _short(x), "y": _short(y)}
+
+
+def bodies(report: Report) -> list[dict[str, Any]]:
+    """Return triangle meshes of the share, its cone and the compacted soil around it, in metres."""
+    scene = report.run.scene
+    cone = scene.cone.mesh(segments=_SIDES)
+    found = [
+        _body("share", "Share", _BLUE, 1.0, scene.share.mesh(), edges=True),
+        _body("cone", "Equivalent cone", _GREY, 1.0, cone, edges=False),
+    ]
+    if not scene.law.lacks("loosened_radius"):
+        radius = float(scene.loosened_radius) / cone.vertices[1:, 1:].max()
+        front = Solid(cone.vertices * [1.0, radius, radius], cone.polygons[:_SIDES], _SIDES)
+        found.append(_body("front", "Compacted soil", _ORANGE, 0.3, front, edges=False))
+    return found
+
+
+def _body(key: str, label: str, colour: str, opacity: float, solid: Solid, *, edges: bool) -> dict[str, Any]:
+    lines = {tuple(sorted(pair)) for p in solid.polygons for pair in zip(p, (*p[1:], p[0]), strict=True)}
+    return {
+        "id": key,
+        "label": label,
+        "colour": colour,
+        "opacity": opacity,
+        "smooth": not edges,
+        "vertices": _short(solid.vertices.ravel()),
+        "triangles": solid.triangles.ravel().tolist(),
+        "edges": [number for pair in sorted(lines) for number in pair] if edges else [],
+    }
+
+
+def motion(run: Run) -> dict[str, Any]:
+    """Return the motion of strut and share over time; empty if nothing changes."""
+    scene = run.scene
+    if not changing(run):
+        return {}
+    path = np.asarray(run.travel) + np.asarray(run.deflection)
+    of_wave = ("amplitude", "wavelength", "phase")
+    waves = [{name: float(getattr(wave, name)) for name in of_wave} for wave in scene.effects.waves]
+    length = run.origin.common("m", {"deflection": run.peak_deflection})
+    return {
+        "time": _short(run.time),
+        "strut": _short(path),
+        "deflection": _short(run.deflection),
+        "force": _short(np.asarray(run.mount_force)),
+        "waves": waves,
+        "height": float(scene.cone.height),
+        "radius": float(scene.cone.height * scene.cone.slope),
+        "front": 0.0 if scene.law.lacks("loosened_radius") else float(scene.loosened_radius),
+        "unit": {"symbol": _unit(length), "factor": length.factor},
+    }
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def _unit(display: Display) -> str:
+    """Return the symbol of a unit for an axis."""
+    return nice(f" {display.symbol}").strip("\u00a0")
+
+
+def _short(values: Iterable[float]) -> list[float]:
+    """Return numbers rounded to the digits that a picture can show."""
+    return [float(f"{value:.{_DIGITS}g}") for value in np.asarray(values, dtype=float).ravel()]
+
+
+# Name in the template -> function.
+_CONTENT: Final = {
+    part.__name__: part
+    for part in (
+        accuracy, answer, bought, called, limits_of, margin_of, moves, nice, notes, optima, place, question, response,
+        scene, searched, sensitivities, share, soil, traded,
+    )
+}  # fmt: skip
+
+
+def page(report: Report) -> str:
+    """Return a report as HTML.
+
+    All texts of the file and of the results are escaped. The page's content security policy forbids all requests.
+
+    Raises:
+        InputError: jinja2 is not installed.
+    """
+    model, why = None, ""
+    try:
+        model = page_model(report.problem)
+    except InputError as refusal:
+        why = str(refusal)
+    drawn = {"charts": charts(report), "bodies": bodies(report), "front": front(report), "motion": motion(report.run)}
+    shown = drawn | {"model": model and explored(report, model)}
+    return _rendered("page.html", report=report, c=_CONTENT, data=shown, model=model, why=why)
+
+
+def design_page(best: Optimum, model: PageModel, title: str, made: str) -> str:
+    """Return the page of a design as HTML; ``made`` identifies how it was made.
+
+    Raises:
+        InputError: jinja2 is not installed.
+    """
+    optima = [_marks("other optima", _GREEN, [one.variables for one in best.local_optima[1:]])]
+    known = {"marks": optima, "best": best.variables, "error": max(best.gap, best.error_estimate)}
+    shown = {"charts": [], "front": [], "model": model.data | known}
+    return _rendered("design.html", title=title, best=best, made=made, data=shown, model=model)
+
+
+def motion_page(run: Run, title: str) -> str:
+    """Return an HTML page with the animation of a run.
+
+    Raises:
+        InputError: jinja2 is not installed.
+    """
+    return _rendered("motion.html", title=title, data={"motion": motion(run)})
+
+
+def explored(report: Report, model: PageModel) -> dict[str, Any]:
+    """Return what the page's controls must know: its model, the best design, the file, and units over time."""
+    problem, best, knee = report.problem, report.best, report.front and shown_of(report.front)
+    panels = {panel.name: {"label": panel.name, "rows": [next(iter(panel.lines)).replace(" ", "_")],
+                           **shown_in(panel.unit)}
+              for panel in (force_of(report.run), deflection_of(report.run))}  # fmt: skip
+    every = measures_of(problem.table)
+    results = [
+        one | shown_in(report.display(one["name"], one["unit"], float(every[one["name"]].of(report.run))))
+        for one in model.data["results"] if one["name"] in every
+    ]  # fmt: skip
+    return {
+        **model.data,
+        "results": [one for one in model.data["results"] if one["name"] not in every] + results,
+        "best": best.variables if best else knee.variables if knee else {},
+        "known": "best" if best else _place_of(report.front) if report.front else "file",
+        "marks": [
+            _marks("other optima", _GREEN, [one.variables for one in (best.local_optima[1:] if best else ())]),
+            _marks("front", _PURPLE, [one.variables for one in (report.front.points if report.front else ())]),
+        ],
+        "axes": [goal.name for goal in report.front.goals][:2] if report.front and not best else [],
+        "objective": bool(problem.table.minimise),
+        "command": "optimise" if best else "tradeoff" if knee else "simulate",
+        "certifies": bool(best or knee),
+        "orbit": problem.scene().effects.orbit != "transient",
+        "panels": panels,
+        "without": without_random(problem),
+        "units": ARRAYS,
+        "file": problem.origin.file,
+        "overrides": problem.overrides,
+        "tables": tables_of(problem),
+    }
+
+
+def _marks(label: str, colour: str, designs: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    """Return designs that Python computed, for the page's landscape."""
+    return {"label": label, "colour": colour, "designs": [dict(one) for one in designs]}
+
+
+def _rendered(name: str, **values: Any) -> str:
+    jinja = optional("jinja2")
+    around = jinja.Environment(autoescape=True, loader=jinja.FunctionLoader(asset), undefined=jinja.StrictUndefined,
+                               trim_blocks=True, lstrip_blocks=True)  # fmt: skip
+    text: str = around.get_template(name).render(asset=asset, **values)
+    return text
+
+
+def asset(name: str) -> str:
+    """Return the text of one of the files that make up the page."""
+    return text_of("plough_opt.app", f"assets/{name}")
+
+
+# --- commands and files ---
 
 
 def report(options: argparse.Namespace) -> None:
@@ -32,15 +532,18 @@ def report(options: argparse.Namespace) -> None:
         InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, or the page
             cannot be written.
     """
+    problem, path = page_of_command(options, check_file(options.output, "page", ".html"))
+    if options.json:
+        print(json_text({"wrote": [str(path)], "provenance": _provenance(problem, options.seed)}))
+    wrote(path)
+
+
+def page_of_command(options: argparse.Namespace, target: Path) -> tuple[Problem, Path]:
+    """Write the page of a command's file; return the problem, and the page's path."""
     optional("jinja2")  # before anything is read
-    target = check_file(options.output, "page", ".html")
     problem = read(options)
     with progress() as notify:
-        path = write_page(problem, target, notify, seed=options.seed)
-    if options.json:
-        told = {"wrote": [str(path)], "provenance": _provenance(problem, options.seed)}
-        print(json.dumps(told, indent=2, allow_nan=False))
-    wrote(path)
+        return problem, write_page(problem, target, notify, seed=options.seed)
 
 
 def explore(
@@ -73,6 +576,7 @@ def explore(
         >>> import plough_opt as po
         >>> po.explore("problems/cotton_subsoiler.toml", "out/cotton.html")  # doctest: +SKIP
     """
+    optional("jinja2")
     target = check_file(path_of("the page", path), "page", ".html")
     whole_number("seed", seed)
     if isinstance(question, Scene):
@@ -81,11 +585,9 @@ def explore(
     elif duration is not None:
         raise InputError("only a scene needs a duration: leave it out, or change the problem or design")
     elif isinstance(question, Design):
-        optional("jinja2")
         model = design_model(question)
-        return write_file(
-            target, "page", design_page(question.solve(seed=seed), model, "A design of Python", _made(seed))
-        )
+        text = design_page(question.solve(seed=seed), model, "A design of Python", _made(seed))
+        return write_file(target, "page", text)
     else:
         known = question if isinstance(question, Problem) else read_problem(question)
     return write_page(known, target, lambda *_: None, seed=seed)
@@ -93,7 +595,6 @@ def explore(
 
 def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> Path:
     """Write the page of a problem; return its path. ``notify`` is told the present step and the fraction done."""
-    optional("jinja2")
     _check(problem)
     if problem.shares:
         model = frame_model(problem)  # refused, if at all, before the search

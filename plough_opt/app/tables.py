@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from plough_opt.app.terminal import LOG
 from plough_opt.core.errors import InputError, NotConverged
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from plough_opt.design import Optimum, Progress, Sensitivity
     from plough_opt.studies.crosscheck import Comparison
 
-# An elasticity below this is rounding.
-_ROUNDING = 1e-9
+ROUNDING: Final = 1e-9
+"""An elasticity, or a margin in SI units, below this is rounding."""
 
 
 def shown(problem: Problem, key: str, value: float, unit: str) -> str:
@@ -225,7 +225,7 @@ def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity
 def _percent(elasticity: float | None) -> str:
     if elasticity is None:
         return "value 0"
-    return "0" if abs(elasticity) < _ROUNDING else f"{elasticity:+.3g}"
+    return "0" if abs(elasticity) < ROUNDING else f"{elasticity:+.3g}"
 
 
 def _end(problem: Problem, key: str, item: Sensitivity, end: float | None) -> str:

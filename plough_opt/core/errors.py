@@ -68,6 +68,25 @@ class InputError(PloughError, ValueError):
     """
 
 
+class about:  # noqa: N801 (a context)
+    """Say in front of the message of an InputError inside this context what it is about; a DomainError may become one.
+
+    Args:
+        what: the first words of the message, such as "'lower'".
+        kind: errors that are meant, which become InputError.
+    """
+
+    def __init__(self, what: str, kind: type[PloughError] = InputError) -> None:
+        self._what, self._kind = what, kind
+
+    def __enter__(self) -> None:
+        """Do nothing yet."""
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        if isinstance(error, self._kind):
+            raise InputError(f"{self._what} {error}") from None
+
+
 class IntegrationError(PloughError, RuntimeError):
     """The equation of motion could not be integrated; the message gives scene, time and likely cause.
 

@@ -12,14 +12,14 @@ import stat
 import tempfile
 import threading
 import unicodedata
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
 from importlib.resources import files as beside
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import FrameType
-from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from plough_opt.core.errors import InputError, short, shown, unprintable
 
@@ -49,6 +49,11 @@ PICTURE_FORMATS = ("png", "svg", "pdf")
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
 """The colours of Okabe and Ito (2008), which colour-blind readers can distinguish, and a grey."""
 
+CONSTANT: Final = 1e-6
+"""Relative change below which a result counts as constant in pictures: smaller changes are rounding."""
+
+# Positive values whose largest exceeds the smallest by more than this factor have a logarithmic axis.
+_LOG_AXIS_RATIO: Final = 20.0
 # As many as have no divisor in common with the number of colours, so that every pair of both occurs.
 _MARKERS: Final = "os^vDPX<>hp*"
 
@@ -364,12 +369,17 @@ def written(figure: Figure, target: str | Path | None) -> Figure:
     return figure
 
 
-def figure_with_panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its panels, row by row, each of a size [inch]; the places after them stay empty."""
+def figure_of_size(width: float, height: float) -> Figure:
+    """Return an empty figure of a size [inch]; matplotlib is loaded only to draw."""
     from matplotlib.figure import Figure
 
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def figure_with_panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    """Return a figure and its panels, row by row, each of a size [inch]; the places after them stay empty."""
     rows = max(1, -(-count // columns))
-    figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
+    figure = figure_of_size(size[0] * columns, size[1] * rows)
     places = [*figure.subplots(rows, columns, squeeze=False).flat]
     for axes in places[count:]:
         axes.set_visible(False)
@@ -379,6 +389,11 @@ def figure_with_panels(count: int, columns: int, size: tuple[float, float]) -> t
 def line_style(number: int) -> dict[str, Any]:
     """Return colour and marker of a line by its number; no pair of the two repeats before number 84."""
     return {"color": COLOURS[number % len(COLOURS)], "marker": _MARKERS[number % len(_MARKERS)]}
+
+
+def scale_of(values: Collection[float]) -> Literal["log", "linear"]:
+    """Return the scale of an axis, or of colours, that shows values."""
+    return "log" if 0.0 < _LOG_AXIS_RATIO * min(values) < max(values) else "linear"
 
 
 def shared_legend(target: Axes | Figure, panels: Sequence[Axes], **where: Any) -> None:

@@ -40,6 +40,11 @@ _PATH: Final = re.compile(r"[\w.-]+:[\w.<>]+")
 _TOOLKIT: Final = "plough_opt"
 
 
+def json_text(plain: object) -> str:
+    """Return plain data as JSON in lines, as everything that the toolkit prints or saves."""
+    return json.dumps(plain, indent=2, allow_nan=False)
+
+
 def to_plain(value: Any, hint: Any = Any) -> Any:
     """Return a value as plain data, with NaN as None and infinities as strings.
 

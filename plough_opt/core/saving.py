@@ -21,7 +21,7 @@ from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.expressions import ByValue
 from plough_opt.core.files import BYTE_ORDER_MARK, exact_text, folded, read_text, write_below, write_file
-from plough_opt.core.plain_data import from_plain, to_plain
+from plough_opt.core.plain_data import from_plain, json_text, to_plain
 from plough_opt.core.tables import Page, Readable
 from plough_opt.core.units import Display, customary
 
@@ -217,7 +217,7 @@ class Saveable(ByValue, Readable):
         extra = getattr(self, "_extra", None)  # set if the result was read
         extra = to_plain(self.also_saved()) if extra is None else extra
         plain = head | extra | to_plain(self, type(self))
-        return json.dumps(plain, indent=2, allow_nan=False)
+        return json_text(plain)
 
     def save(self, path: str | Path) -> Path:
         """Write the result as JSON, creating its folder; `plough_opt.load` reads it back.

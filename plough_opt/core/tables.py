@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TextIO, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, Final, TextIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -280,14 +280,22 @@ def _image(figure: Figure) -> str:
     return f'<img alt="picture of the result" src="data:image/png;base64,{b64encode(file.getvalue()).decode()}">'
 
 
-def data_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> pandas.DataFrame:
-    """Return columns as a pandas DataFrame; ``attrs["units"]`` gives each column's unit, "" for a pure number.
+def data_frame(
+    columns: Mapping[str, Any], units: Mapping[str, str], of_rows: Mapping[str, str] | None = None
+) -> pandas.DataFrame:
+    """Return columns as a pandas DataFrame with units in ``attrs["units"]``.
+
+    Args:
+        columns: name of each column -> its values.
+        units: name of a column -> its unit, "" for a pure number.
+        of_rows: what a row is about -> the unit of its values, if the columns have no units of their own.
 
     Raises:
         InputError: pandas is not installed.
     """
     frame: pandas.DataFrame = optional("pandas").DataFrame(dict(columns))
-    frame.attrs["units"] = {name: units[name] for name in columns if name in units}
+    own = {name: units[name] for name in columns if name in units}
+    frame.attrs["units"] = own if of_rows is None else dict(of_rows)
     return frame
 
 
@@ -370,6 +378,21 @@ def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:
         (quoted if odd else plain).writerow(map(_shielded, row))
 
 
+def write_table(path: str | Path, rows: Iterable[Sequence[object]]) -> Path:
+    """Write rows into a CSV file by `write_rows`, one after the other: they need not fit into memory.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+
+    def write(file: IO[bytes]) -> None:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        write_rows(text, rows)
+        text.detach()  # flushes, and leaves the file open for `write_file`
+
+    return write_file(path, "table", write)
+
+
 def write_frame(path: str | Path, frame: pandas.DataFrame) -> Path:
     """Write a data frame with the units of its columns in their headings, as CSV or, by its ending, as a workbook.
 
@@ -385,9 +408,7 @@ def write_frame(path: str | Path, frame: pandas.DataFrame) -> Path:
         for row in rows:
             book.active.append([_shielded(cell) for cell in row])
         return write_file(path, "table", book.save)
-    text = io.StringIO()
-    write_rows(text, rows)
-    return write_file(path, "table", text.getvalue())
+    return write_table(path, rows)
 
 
 def _unshielded(cell: str) -> str:
@@ -559,8 +580,14 @@ def table_of(
     return np.array(table)
 
 
-def raise_listed(errors: Sequence[str]) -> None:
-    """Raise InputError if there are any mistakes; the message lists the first few."""
+def raise_listed(errors: Sequence[str], most: int = _MOST_LISTED, further: int = 0) -> None:
+    """Raise InputError if there are any mistakes.
+
+    Args:
+        errors: sentences on mistakes, of which the message lists the first few.
+        most: number of mistakes to list.
+        further: number of mistakes besides these.
+    """
     if errors:
-        more = [f"... and {len(errors) - _MOST_LISTED} more"] if len(errors) > _MOST_LISTED else []
-        raise InputError("\n".join([*errors[:_MOST_LISTED], *more]))
+        rest = len(errors[most:]) + further
+        raise InputError("\n".join([*errors[:most], *([f"... and {rest} more"] if rest else [])]))

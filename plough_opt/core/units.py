@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from plough_opt.core.errors import InputError, nearest, short, unprintable
+from plough_opt.core.errors import InputError, about, nearest, short, unprintable
 
 if TYPE_CHECKING:
     import pint
@@ -179,11 +179,9 @@ def in_si(what: str, value: Any, unit: str) -> Any:
     """
     if not has_unit(value):
         return value
-    try:
+    with about(what):
         number, factor = Unit(unit).split(value)
         return number * factor if factor != 1.0 else number
-    except InputError as error:
-        raise InputError(f"{what} {error}") from None
 
 
 def unit_of(what: str, unit: str, *values: Any) -> tuple[str, Display | None]:
@@ -219,11 +217,9 @@ def _written_unit(what: str, value: Any) -> str:
     """Return the unit of a string or a pint quantity, as written."""
     if _is_pint(value):
         return f"{value.units:~}".replace(" ", "").replace("**", "^")
-    try:
+    with about(what):
         unit = _parsed(value, '"50 kN/m"')[1]
         _root(unit, value)  # raises if the unit is unknown
-    except InputError as error:
-        raise InputError(f"{what} {error}") from None
     return unit
 
 

@@ -24,8 +24,26 @@ _MOST_CHARACTERS = 400
 EVERYWHERE = (-math.inf, math.inf)
 
 
+class Scaled:
+    """A quantity that is 0 to 1 between its bounds, evenly in its value or in its logarithm."""
+
+    lower: float
+    upper: float
+    log: bool
+
+    def unscaled(self, y: Expression) -> Expression:
+        """Return the value from the scaled quantity."""
+        if self.log:
+            return self.lower * exp(y * math.log(self.upper / self.lower))
+        return self.lower + (self.upper - self.lower) * y
+
+    def slope(self, y: float) -> float:
+        """Return d value / d scaled quantity."""
+        return float(self.unscaled(y)) * math.log(self.upper / self.lower) if self.log else self.upper - self.lower
+
+
 @dataclass(frozen=True)
-class Variable:
+class Variable(Scaled):
     """A quantity that the optimiser may choose, between finite bounds."""
 
     name: str
@@ -67,16 +85,6 @@ class Variable:
         if self.log:
             return log(value / self.lower) / math.log(self.upper / self.lower)
         return (value - self.lower) / (self.upper - self.lower)
-
-    def unscaled(self, y: Expression) -> Expression:
-        """Return the value from the scaled variable."""
-        if self.log:
-            return self.lower * exp(y * math.log(self.upper / self.lower))
-        return self.lower + (self.upper - self.lower) * y
-
-    def slope(self, y: float) -> float:
-        """Return d value / d scaled variable."""
-        return float(self.unscaled(y)) * math.log(self.upper / self.lower) if self.log else self.upper - self.lower
 
     def value(self, y: float) -> float:
         """Return the value from the scaled variable, and exactly the bound at or beyond 0 and 1."""

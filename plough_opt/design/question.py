@@ -12,7 +12,6 @@ import numpy as np
 
 from plough_opt.core.checks import (
     NOT_NUMBERS,
-    check_callable,
     check_choice,
     check_kind,
     check_switch,
@@ -35,7 +34,7 @@ from plough_opt.design.model.program import Program
 from plough_opt.design.over_tolerances import Over, ToleranceBoxSolver
 from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.search.effort import Search, TimeLimit
-from plough_opt.design.search.explore import Progress, silent
+from plough_opt.design.search.explore import Progress, notifier
 from plough_opt.design.solving import Request, solve_program
 
 Written: TypeAlias = Any
@@ -293,14 +292,12 @@ class Design:
         started, limit = time.perf_counter(), TimeLimit(search)
         check_choice("judge", judge, ("tolerance", "bare"))
         check_switch("compiled", compiled)
-        if progress is not None:
-            check_callable("progress", progress, "of what is being done and the fraction done")
-        seed = whole_number("seed", seed)
+        progress, seed = notifier(progress), whole_number("seed", seed)
         declared, options = self.declared, ipopt_options(ipopt)
         values = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
         if self._program is None or (self._program.compiled, self._program.ipopt) != (compiled, options):
             self._program, self._boxed = Program.of(declared, compiled=compiled, ipopt=options), None
-        request = Request(values, search, judge, seed, progress or silent, started, limit)
+        request = Request(values, search, judge, seed, progress, started, limit)
         with without_notices():
             if self._over is None:
                 best = solve_program(self._program, request)

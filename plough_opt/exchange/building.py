@@ -68,7 +68,7 @@ from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 
 DURATION, FRAME, STEEL = BESIDE
 # If the frame has no mass, rounding may make the moving mass smaller than the share's by this part.
-_ROUNDING = 1e-12
+_MASS_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class NamedScene:
             raise InputError("steel_density needs a numeric scene: let the mass expression include the share's")
         BESIDE[STEEL].check(self.steel_density)
         share = self.scene.cone.solid_mass(self.steel_density)
-        if self.scene.mass < (1.0 - _ROUNDING) * share:
+        if self.scene.mass < (1.0 - _MASS_ROUNDING) * share:
             given = f"a share of {self.steel_density:.6g} kg/m^3 has {share:.6g} kg, more than the whole moving mass"
             raise InputError(f"{given} of {self.scene.mass:.6g} kg: give both together, or leave steel_density out")
 

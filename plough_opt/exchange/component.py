@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import DomainLimit, check_domain, check_named, check_text, plain_number, shown
-from plough_opt.core.errors import DomainError, InputError, nearest
+from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
 from plough_opt.core.quantities import EVERY, Quantity
 from plough_opt.core.units import has_unit, in_si, unit_of
@@ -227,8 +227,7 @@ def measure_of(output: Output, law: ResistanceLaw) -> tuple[str, Callable[[Run],
     if output.name in _SIGNALS_OF_PEAKS:
         signal = _SIGNALS_OF_PEAKS[output.name]
         raise InputError(f"'{output.name}' has no derivative: use '{signal}', which has a value at every output time")
-    if output.name not in MEASURES:
-        raise InputError(f"no result is named '{output.name}': {nearest(output.name, MEASURES)}")
+    check_named("no result is named {}", output.name, MEASURES)
     measure = MEASURES[output.name]
     measure.check(output.name, law)
     return measure.unit.symbol, measure.of

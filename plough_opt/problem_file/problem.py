@@ -142,10 +142,8 @@ class Problem:
         if not self.table.scene.law.slender:
             return ()
         given, limits = self.values(), self.table.require
-        wanted, varied = (
-            {*self.table.minimise, *self.table.goals, *limits},
-            {*self.variables, *(self.table.uncertain or ())},
-        )
+        wanted = {*self.table.minimise, *self.table.goals, *limits}
+        varied = {*self.variables, *(self.table.uncertain or ())}
         angle = limits["half_angle"].at_most if "half_angle" in limits else None
         blunt = angle is None or Unit("rad").parse(angle) > PLANE_SECTIONS_LIMIT
         front = "loosened_radius" in wanted and "soil.density_ratio" not in given

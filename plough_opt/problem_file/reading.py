@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 
-from plough_opt.core.checks import check_kind, path_of
-from plough_opt.core.errors import DomainError, InputError, nearest, short
+from plough_opt.core.checks import check_kind, check_named, path_of
+from plough_opt.core.errors import DomainError, InputError, about, nearest, short
 from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import Display, Unit, display_of, in_words
@@ -190,8 +190,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
     displays: dict[str, Display] = {}
     for key, declared in table.variables.items():
         with source.noting(("variables", key)):
-            if key not in units:
-                raise InputError(f"'{key}' cannot be a variable: {nearest(key, units)}")
+            check_named("{} cannot be a variable", key, units)
             if table.uncertain is not None and (declared.catalogue or declared.step) is not None:
                 raise InputError(f"'{key}' has a catalogue, which is for one soil: remove it, or the table [uncertain]")
             variables[key] = variable_of(source, key, declared)
@@ -294,12 +293,10 @@ def apply_override(source: Source, text: str) -> str:
     text = short(text, _SHOWN)  # as messages quote it
     if not (path and written):
         raise InputError(f'--set {text}: expected KEY=VALUE, like scene.tow_speed="2.5 m/s"')
-    try:
+    with about(f"--set {text}:"):
         keys, value = _keys_of(path), _toml_value(written)
         if keys != [_SHARES]:
             return _change(source, keys, value, text)
-    except InputError as error:
-        raise InputError(f"--set {text}: {error}") from None
     choose_share(source, value)
     return ""
 
@@ -355,8 +352,7 @@ def _keys_of(path: str) -> list[str]:
     name, _, side = rest.rpartition(".")
     if rest in quantities():
         return [*around, "variables", rest]
-    if name not in quantities():
-        raise InputError(f"'{name or rest}' cannot be a variable: {nearest(name or rest, quantities())}")
+    check_named("{} cannot be a variable", name or rest, quantities())
     return [*around, "variables", name, side]
 
 
@@ -388,10 +384,9 @@ def names_of_shares(source: Source) -> tuple[str, ...]:
                 raise InputError(f"'{name}' cannot be the name of a share: use letters, digits and _, no table's")
         for table in own:
             with source.noting((_SHARES, name, table)):
-                if table not in SHARE_TABLES:
-                    if table in ProblemTable.model_fields:
-                        raise InputError(f"'{table}' cannot differ between shares: give [{table}] for all of them")
-                    raise InputError(f"'{table}' is not a table of a share: {nearest(table, SHARE_TABLES)}")
+                if table in {*ProblemTable.model_fields}.difference(SHARE_TABLES):
+                    raise InputError(f"'{table}' cannot differ between shares: give [{table}] for all of them")
+                check_named("{} is not a table of a share", table, SHARE_TABLES)
         for key in _FRAME_KEYS:
             with source.noting((_SHARES, name, "scene", key)):
                 if any(isinstance(own.get(table), dict) and entry in own[table]
@@ -469,10 +464,8 @@ def _check_compaction(table: ProblemTable, known: set[str]) -> None:
     """Raise InputError if a compression test is invalid, or does not reach an ambient pressure that is fixed."""
     test, key = table.soil.compaction, "soil.ambient_pressure"
     assert test is not None
-    try:
+    with about("'pressure'"):
         pressure = [Unit("Pa").parse(written) for written in test.pressure]
-    except InputError as error:
-        raise InputError(f"'pressure' {error}") from None
     compression_test(pressure, test.volume_lost)
     if key not in table.variables:
         fixed = float(at(table, key)) if key in known else STANDARD_ATMOSPHERE  # that of the named soils, too

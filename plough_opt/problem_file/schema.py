@@ -10,22 +10,11 @@ from functools import lru_cache
 from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    StrictBool,
-    StrictFloat,
-    StrictInt,
-    StrictStr,
-    create_model,
-)
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model
 
 from plough_opt.core import expressions
 from plough_opt.core.checks import check_named, shown
-from plough_opt.core.errors import InputError, nearest, short
+from plough_opt.core.errors import InputError, about, short
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import EVERY, IN_FILES, MOST_WAVES, QUANTITIES, wave_table
 from plough_opt.core.units import Unit, registry
@@ -48,7 +37,7 @@ from plough_opt.problem_file.source import Source
 from plough_opt.soil.soil import Adjust
 from plough_opt.soil.strength import RandomStrength, Spectrum, StrengthWave
 
-Written = StrictStr | StrictFloat
+Written = str | float
 RANDOM = "effects.random_strength"
 """Dotted name of the table of random strength."""
 SHARE_TABLES = ("soil", "share", "scene", "effects", "variables", "require")
@@ -110,15 +99,12 @@ def _made(kind: type[_Kind], key: str, written: Mapping[str, Any]) -> _Kind:
 def _value(kind: type, key: str, value: Any) -> Any:
     """Return the value of one field, converted to SI if the field has a unit."""
     known = {each.name: each for each in dataclasses.fields(kind)}
-    if key not in known:
-        raise InputError(f"'{key}' is not a quantity of {kind.__name__}: {nearest(key, known)}")
+    check_named(f"{{}} is not a quantity of {kind.__name__}", key, known)
     unit = known[key].metadata.get("unit")
     if unit is None:
         return value
-    try:
+    with about(f"'{key}'"):
         return Unit(unit).parse(value)
-    except InputError as error:
-        raise InputError(f"'{key}' {error}") from None
 
 
 def _readable_by(read: Callable[[Any], object]) -> AfterValidator:
@@ -140,7 +126,7 @@ def describe_media(schema: dict[str, Any]) -> None:
 class Table(BaseModel):
     """A table in which an unknown key is an error."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class CompactionTable(Table):
@@ -148,7 +134,7 @@ class CompactionTable(Table):
 
     pressure: list[Written]
     """pressures of the test"""
-    volume_lost: list[StrictFloat]
+    volume_lost: list[float]
     """fraction of the volume that is lost at each of them"""
 
 
@@ -184,7 +170,7 @@ class SceneTable(Table):
 
     medium: Annotated[Any, _readable_by(medium_of), Field(json_schema_extra=describe_media)] = "plastic"
     """the law of resistance: its name, or a table with its name and its quantities"""
-    outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
+    outputs: Annotated[int, Field(ge=1, le=100_000)] = 400
     """number of equal intervals between output times"""
     average: Literal["run", "whole waves"] = "run"
     """average over the run, or shorten it to whole waves"""
@@ -198,23 +184,23 @@ class SceneTable(Table):
 class EffectsTable(Table):
     """Effects that differ from the defaults."""
 
-    motion: StrictBool = Effects.motion
+    motion: bool = Effects.motion
     """whether the share moves on its mount; if not it follows the strut"""
-    inertial_drag: StrictBool = Effects.inertial_drag
+    inertial_drag: bool = Effects.inertial_drag
     """the force Fd, which grows with the squared speed"""
-    added_mass: StrictBool = Effects.added_mass
+    added_mass: bool = Effects.added_mass
     """the soil that accelerates with the share"""
-    ambient_pressure: StrictBool = Effects.ambient_pressure
+    ambient_pressure: bool = Effects.ambient_pressure
     """the pressure ahead of the compaction front"""
     contact: Literal["resisting", "smooth", "stick_slip"] = "resisting"
     """whether the soil always resists, only a share that advances, or lets it stick and slip"""
     start: Literal["equilibrium", "rest", "towed"] = Effects.start
     """at the steady deflection, at rest, or moving with the strut"""
-    entry: StrictBool = Effects.entry
+    entry: bool = Effects.entry
     """whether the share enters the soil tip first"""
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
     """the motion from the start, or the orbit that repeats with every wave, exact or approximate"""
-    harmonics: Annotated[StrictInt, Field(ge=1, le=MOST_HARMONICS)] = HarmonicBalance.harmonics
+    harmonics: Annotated[int, Field(ge=1, le=MOST_HARMONICS)] = HarmonicBalance.harmonics
     """number of harmonics of a harmonic balance"""
     formulation: Literal["derived", "printed"] = "derived"
     """the corrected equations, or those of the source with its misprints"""
@@ -257,9 +243,9 @@ class EffectsTable(Table):
 class RandomStrengthTable(Table):
     """Random strength: its RMS and correlation length, or a file with a measured record."""
 
-    record: StrictStr | None = None
+    record: str | None = None
     """CSV file of a record along the path, beside the problem file"""
-    base_diameter: StrictStr | None = None
+    base_diameter: str | None = None
     """diameter over which the strength is averaged"""
 
 
@@ -272,7 +258,7 @@ class VariableTable(Table):
     """upper bound"""
     guess: Written | None = None
     """start of the search"""
-    log: StrictBool = False
+    log: bool = False
     """whether it is scaled by its logarithm"""
     tolerance: Written | None = None
     """half the width of the tolerance band, in its unit or per cent"""
@@ -287,7 +273,7 @@ class TermTable(Table):
 
     per: Written
     """amount that counts as 1 in the objective"""
-    measure: StrictStr | None = None
+    measure: str | None = None
     """measure over an uncertain soil"""
     width: Written | None = None
     """length over which the measure is smoothed"""
@@ -300,9 +286,9 @@ class LimitTable(Table):
     """lower limit"""
     at_most: Written | None = None
     """upper limit"""
-    measure: StrictStr | None = None
+    measure: str | None = None
     """measure over an uncertain soil"""
-    probability: StrictFloat | None = None
+    probability: float | None = None
     """fraction of the soils in which the limit holds"""
     width: Written | None = None
     """length over which the measure is smoothed"""
@@ -327,7 +313,7 @@ class LimitTable(Table):
 class GoalTable(Table):
     """A result that a front trades."""
 
-    maximise: StrictBool = False
+    maximise: bool = False
     """whether it is maximised"""
 
 
@@ -343,29 +329,29 @@ class TradeOffTable(Table):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Annotated[GoalTable, BeforeValidator(_check_goal)]]
 
-    points: Annotated[StrictInt, Field(ge=5, le=1000)] = 40
+    points: Annotated[int, Field(ge=5, le=1000)] = 40
     """number of positions on the front"""
 
 
 class MeasureTable(Table):
     """A result that the file defines: an expression of other results, and its unit."""
 
-    value: StrictStr
+    value: str
     """expression of other results"""
-    unit: StrictStr = ""
+    unit: str = ""
     """its unit"""
 
 
 class AccuracyTable(Table):
     """Integration method and its setting, or the relative error to reach."""
 
-    method: StrictStr = "auto"
+    method: str = "auto"
     """integration method"""
-    error: StrictFloat | None = None
+    error: float | None = None
     """relative error to reach"""
-    steps: StrictInt | None = None
+    steps: int | None = None
     """number of steps of a method with fixed steps"""
-    tolerance: StrictFloat | None = None
+    tolerance: float | None = None
     """tolerance of an adaptive method"""
 
 
@@ -598,8 +584,7 @@ def _checked_names(tree: ast.expr, text: str, unit: str) -> dict[str, None]:
         if isinstance(what, float):
             return plain if what else zero
         single = [name for name, measure in MEASURES.items() if not measure.everywhere]
-        if what not in single and what not in QUANTITIES:
-            raise InputError(f"'{what}' has no single value to compute with: {nearest(what, [*single, *QUANTITIES])}")
+        check_named("{} has no single value to compute with", what, [*single, *QUANTITIES])
         names[what] = None
         return unit_of((MEASURES[what].unit.symbol if what in MEASURES else QUANTITIES[what].unit) or "dimensionless")
 

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from plough_opt.core.errors import DomainError, InputError, nearest, short, unprintable
 from plough_opt.core.files import BYTE_ORDER_MARK, read_text
+from plough_opt.core.tables import raise_listed
 from plough_opt.core.units import Display, Unit, display_of
 from plough_opt.studies.sweep.question import Axis, Range, axis_of
 
@@ -179,12 +180,8 @@ class Source:
 
     def raise_noted(self) -> None:
         """Raise one InputError that lists all noted mistakes in order of their lines, if there are any."""
-        if self._noted:
-            unique = {str(error): error for error in self._noted}
-            ordered = sorted(unique.values(), key=lambda error: getattr(error, "line", 0))
-            rest = len(ordered[_MAX_LISTED:]) + self._unlisted
-            more = [f"... and {rest} more"] if rest else []
-            raise InputError("\n".join([*map(str, ordered[:_MAX_LISTED]), *more]))
+        line_of = {str(error): getattr(error, "line", 0) for error in self._noted}
+        raise_listed(sorted(line_of, key=line_of.__getitem__), _MAX_LISTED, self._unlisted)
 
     def note_schema(self, error: ValidationError, valid: Callable[[Keys], Sequence[str]]) -> None:
         """Note every error that the schema found, with its line.
@@ -342,7 +339,7 @@ _RANGE = re.compile(r"(?P<lower>.+?)\.\.(?P<upper>[^:]*?)(?::(?P<count>[^:]*?))?
 _NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
-def read_axis(text: str, unit: Unit, *, sampled: bool = False) -> tuple[Axis, Display]:
+def read_axis(text: str, unit: Unit, *, sampled: bool) -> tuple[Axis, Display]:
     """Return the values or the range in SI that a text describes, and the unit in which it is written.
 
     The unit is written once, at the end, or with every number. The steps of a grid are exact in decimal numbers of that

@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_named, shown
-from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.checks import check_kind, check_named
+from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import Expression, stacked
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import quantities
@@ -49,7 +49,7 @@ MANY: Final = 10_000
 """Number of points from which a sweep simulates by `Batch`, if `Batch` accepts the scene."""
 
 # Part of a duration by which whole waves may differ from it.
-_ROUNDING: Final = 1e-9
+_WAVES_APART: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,8 @@ class ProblemSweep:
         count = points_of(axes, samples, seed).count
         for end in (0, -1):
             corner = fixed_at(problem, {name: _ends(axis)[end] for name, axis in axes.items()})
-            try:
+            with about("in the sweep:"):
                 check_changed(corner)
-            except InputError as error:
-                raise InputError(f"in the sweep: {error}") from None
         if what == "optimise":
             corner.design()
         evaluation, how = _evaluation(problem, tuple(axes), what, method, count)
@@ -198,21 +196,17 @@ def sweep(
 
 def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], dict[str, Display]]:
     """Return the values or range of each quantity in SI, and the units of those that are given as text."""
-    if not isinstance(over, Mapping):
-        raise InputError(f"over = {shown(over)} must be a dictionary, like {{'soil.cohesion': '5..45 kPa:9'}}")
+    check_kind("over", over, Mapping, "a dictionary, like {'soil.cohesion': '5..45 kPa:9'}")
     units = quantities()
     axes: dict[str, Axis] = {}
     displays: dict[str, Display] = {}
     for name, given in over.items():
-        if name not in units:
-            raise InputError(f"'{name}' cannot be swept: {nearest(name, units)}")
+        check_named("{} cannot be swept", name, units)
         if not isinstance(given, str):
             axes[name] = axis_of(name, given)
             continue
-        try:
+        with about(f"'{name}'"):
             axes[name], displays[name] = read_axis(given, units[name], sampled=sampled)
-        except InputError as error:
-            raise InputError(f"'{name}' {error}") from None
     return axes, displays
 
 
@@ -241,13 +235,7 @@ def _evaluation(
 def _question(problem: Problem, axes: Mapping[str, Axis], what: What, how: str) -> dict[str, str]:
     """Return name -> text of every setting and quantity that the results depend on."""
     table = problem.table.model_dump(exclude={"title", "variables", "minimise", "require", "trade_off"})
-    found: dict[str, Any] = {
-        "what": what,
-        "computed": how,
-        **_flat(table),
-        **problem.values(),
-        "course": problem.course,
-    }
+    found = {"what": what, "computed": how, **_flat(table), **problem.values(), "course": problem.course}
     if what == "optimise":
         chosen = problem.table.model_dump(include={"variables", "minimise", "require"})
         chosen["variables"] = {name: one for name, one in chosen["variables"].items() if name not in axes}
@@ -395,8 +383,8 @@ class SimulationOfMany:
             for k, points in _extremes(which, np.column_stack([values, ambient_share])[which]):
                 scene = self.problem.scene(dict(zip(self.names, values[k].tolist(), strict=True)))
                 notes.append((k, points, (*batch.warnings, *scene.warnings())))
-        count = np.floor(duration / period * (1.0 + _ROUNDING))
-        broken = np.flatnonzero(sound & (count >= 1.0) & (count * period < duration * (1.0 - _ROUNDING)))
+        count = np.floor(duration / period * (1.0 + _WAVES_APART))
+        broken = np.flatnonzero(sound & (count >= 1.0) & (count * period < duration * (1.0 - _WAVES_APART)))
         if whole is not None and broken.size:
             change = 100.0 * (averages[0, broken] / whole(values[broken]).mean_draft - 1.0)
             changed = np.abs(change) > BROKEN_WAVE
@@ -460,12 +448,8 @@ def _columns(problem: Problem, scene: Scene) -> dict[str, Measure]:
 
 def _of_run(problem: Problem, run: Run) -> dict[str, float]:
     """Return the results of a numeric run that become columns of a sweep."""
-    return {
-        **{name: float(one.of(run)) for name, one in _columns(problem, run.scene).items()},
-        "peak_force": run.peak_force,
-        "peak_deflection": run.peak_deflection,
-        "error_estimate": run.error_estimate,
-    }
+    own = {name: float(one.of(run)) for name, one in _columns(problem, run.scene).items()}
+    return own | {name: getattr(run, name) for name in ("peak_force", "peak_deflection", "error_estimate")}
 
 
 def _units(problem: Problem) -> dict[str, str]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
+from plough_opt.core.checks import check_named, whole_number
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number
 from plough_opt.core.quantities import quantities
@@ -41,18 +42,16 @@ _KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 # Properties that do not affect the cone index.
 _NOT_IN_CONE_INDEX = ("density", "youngs_modulus", "poisson_ratio")
-_NUMBER = r"(?:\d+\.?\d*|\.\d+)"
+_UNSIGNED = r"(?:\d+\.?\d*|\.\d+)"
 _MEASURE = re.compile(
-    rf"(?P<plain>nominal|expected|worst)|cvar\s+(?P<level>{_NUMBER})"
-    rf"|mean\s*(?P<sign>[+-])\s*(?P<factor>{_NUMBER})\s*std"
+    rf"(?P<plain>nominal|expected|worst)|cvar\s+(?P<level>{_UNSIGNED})"
+    rf"|mean\s*(?P<sign>[+-])\s*(?P<factor>{_UNSIGNED})\s*std"
 )
 _MEASURE_EXAMPLES = '"expected", "mean + 2 std", "cvar 0.9", "worst" or "nominal"'
 # Measures of one tail, which are not smooth.
 _TAILS = ("cvar", "worst")
 # Smoothing width of nonsmooth measures, in standard deviations of the result over the samples.
 _SMOOTHING_WIDTH = 0.5
-# A smaller relative spread is rounding, and the result does not depend on the soil.
-_ROUNDING = 1e-9
 # Samples for the Sobol indices.
 _INDEX_SAMPLES = 1024
 
@@ -117,12 +116,9 @@ def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
     from plough_opt.studies.uncertainty import SoilDistribution
 
     table = _of_strength_factor(table, soil)
-    made = {name: _made(name, values) for name, values in table.distributions.items()}
-    within = {
-        name: (values.get("lower", -math.inf), values.get("upper", math.inf))
-        for name, values in table.distributions.items()
-        if "lower" in values or "upper" in values
-    }
+    kinds = table.distributions
+    made = {name: _made(name, values) for name, values in kinds.items()}
+    within = {name: (own.get("lower", -math.inf), own.get("upper", math.inf)) for name, own in kinds.items()}
     return SoilDistribution(soil, within=within, correlation=table.correlation, **made)
 
 
@@ -164,9 +160,7 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
     for key, entry in table.uncertain.items():
         with source.noting((TABLE, key)):
             if key in _COUNTS:
-                low, high = _COUNTS[key]
-                if isinstance(entry, bool) or not isinstance(entry, int) or not low <= entry <= high:
-                    raise InputError(f"'{TABLE}.{key}' = {entry!r} must be a whole number from {low} to {high}")
+                whole_number(f"'{TABLE}.{key}'", entry, *_COUNTS[key])
             elif key == "correlation":
                 _check_correlation(entry, [name for name in table.uncertain if name.startswith("soil.")])
             elif key not in properties:
@@ -217,8 +211,7 @@ def _check_correlation(entry: Any, names: Sequence[str]) -> None:
         if not isinstance(item, list) or len(item) != 3 or not isinstance(item[2], int | float):
             raise InputError(f"'{TABLE}.correlation': {item!r} must be two names and a number, like {example[1:-1]}")
         for name in item[:2]:
-            if name not in names:
-                raise InputError(f"'{TABLE}.correlation': '{name}' has no distribution: {nearest(str(name), names)}")
+            check_named(f"'{TABLE}.correlation': {{}} has no distribution", name, names)
 
 
 def _check_distribution(source: Source, key: str, entry: Any) -> None:
@@ -380,11 +373,10 @@ class _RobustDesign:
 
     def spreads(self, at: Mapping[str, float]) -> dict[str, float]:
         """Return the standard deviation of every result at a design, 0 if it does not depend on the soil."""
+        from plough_opt.studies.uncertainty.robust import varies
+
         values = self._robust.values(at)
-        return {
-            name: float(np.std(own)) if np.ptp(own) > _ROUNDING * np.max(np.abs(own)) else 0.0
-            for name, own in values.items()
-        }
+        return {name: float(np.std(own)) if varies(own) else 0.0 for name, own in values.items()}
 
     def build(self, spreads: Spreads) -> tuple[Design, Robust, frozenset[str]]:
         """Return the design, the results over the samples, and the names of results smoothed by their spread.

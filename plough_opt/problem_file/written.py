@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from plough_opt.core.checks import shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import as_number, holds_casadi
 from plough_opt.core.quantities import EVERY
 from plough_opt.laws import LAWS
@@ -27,7 +27,7 @@ from plough_opt.soil.soil import named_soil, soil_names
 
 _NAME = "design.toml"  # as the page that computes calls what it writes
 # Difference that conversions of units leave, relative and, of differences of numbers near 1, absolute.
-_ROUNDING = 1e-14
+_UNITS_ROUNDING = 1e-14
 
 
 def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
@@ -63,10 +63,8 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
     lines += [f"effects.{key} = {_toml(value)}" for key, value in _choices(scene)]
     medium = scene.medium if isinstance(scene.medium, str) else _fields("law", LAWS, scene.medium)
     lines += [] if scene.medium == Scene.medium else [f"scene.medium = {_toml(medium)}"]
-    try:
+    with about("this scene cannot be written as a problem file:"):
         problem = read_source(Source("\n".join(lines) + "\n", _NAME), Path())
-    except InputError as error:
-        raise InputError(f"this scene cannot be written as a problem file: {error}") from None
     found = problem.scene()
     soil = replace(found.soil, name=scene.soil.name, source=scene.soil.source)
     if different := next(_differences("scene", scene, replace(found, soil=soil)), None):
@@ -121,7 +119,7 @@ def _differences(name: str, one: Any, other: Any) -> Iterator[str]:
         for k, pair in enumerate(zip(one, other, strict=True)):
             yield from _differences(f"{name}[{k}]", *pair)
     elif isinstance(one, float) and isinstance(other, float):
-        if not np.isclose(one, other, rtol=_ROUNDING, atol=_ROUNDING / 10.0):
+        if not np.isclose(one, other, rtol=_UNITS_ROUNDING, atol=_UNITS_ROUNDING / 10.0):
             yield f"{name} = {one!r}"
     elif one != other:
         yield f"{name} = {shown(one)}"

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import plain_number, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import COLOURS, written
+from plough_opt.core.files import COLOURS, figure_with_panels, written
 from plough_opt.core.quantities import MOST_WAVES
 from plough_opt.soil.strength import (
     LEVEL,
@@ -259,10 +259,8 @@ class RecordWaves:
             >>> found.plot().axes[0].get_xlabel()
             'wavelength [m]'
         """
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(7.0, 4.2), layout="constrained")
-        axes, s = figure.subplots(), self.spectrum
+        figure, (axes,) = figure_with_panels(1, 1, (7.0, 4.2))
+        s = self.spectrum
         length = 2.0 * math.pi / s.wave_number
         axes.fill_between(length, s.lower, s.upper, color=COLOURS[5], alpha=0.4, label="95 % band")
         axes.loglog(length, s.density, color=COLOURS[0], label="spectrum")

@@ -16,7 +16,7 @@ import numpy as np
 from plough_opt.core.checks import array_of, check_domain, check_kind, check_named, check_single
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi
-from plough_opt.core.files import line_style, shared_legend, written
+from plough_opt.core.files import figure_of_size, line_style, shared_legend, written
 from plough_opt.core.tables import Grid, data_frame
 from plough_opt.laws import (
     AsabeD497,
@@ -374,11 +374,10 @@ def _estimates(scene: Scene, tine: dict[str, Any], point: str, missing: Sequence
 
 def _figure_of(comparison: Comparison) -> Figure:
     """Return the picture. A model has the same colour and marker in every panel."""
-    from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     panels = comparison.depths or (None,)
-    figure = Figure(figsize=(5.2 * len(panels) + 3.6, 5.0), layout="constrained")
+    figure = figure_of_size(5.2 * len(panels) + 3.6, 5.0)
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, depth in zip(grid, panels, strict=True):
         _draw(axes, comparison, depth)

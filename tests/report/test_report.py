@@ -17,8 +17,7 @@ from helpers.problem_files import PROBLEMS, SUBSOILER, changed
 from PIL import Image
 
 import plough_opt as po
-from plough_opt.app.page import Report, page
-from plough_opt.app.report import reported
+from plough_opt.app.report import Report, page, reported
 
 # Two variables fewer than the file has, so that the search is short.
 FIXED = ("share.wedge_angle=39 deg", "share.height=0.26 m")

@@ -263,9 +263,8 @@ class LocalOptimum(Saveable):
             [0.06, 0.12]
         """
         names = ("name", "kind", "value", "limits", "margin", "multiplier", "active", "unit")
-        frame = data_frame({name: [getattr(one, name) for one in self.limits] for name in names}, {})
-        frame.attrs["units"] = {one.name: one.unit for one in self.limits}
-        return frame
+        columns = {name: [getattr(one, name) for one in self.limits] for name in names}
+        return data_frame(columns, {}, {one.name: one.unit for one in self.limits})
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw the variables between their bounds.

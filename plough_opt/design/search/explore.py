@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from plough_opt.core.checks import check_callable
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.search.effort import Effort, TimeLimit, expected_unseen
 from plough_opt.design.search.landscape import (
@@ -73,6 +74,14 @@ _LOOK = _CloserLook()
 
 def silent(_stage: str, _fraction: float) -> None:
     """Report no progress."""
+
+
+def notifier(progress: Progress | None) -> Progress:
+    """Return a callback of progress after a check; `silent` for None."""
+    if progress is None:
+        return silent
+    check_callable("progress", progress, "of what is being done and the fraction done")
+    return progress
 
 
 class _OutOfTime(Exception):

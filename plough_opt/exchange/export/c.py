@@ -20,7 +20,7 @@ MOST_ULP = 4
 """Units in the last place by which a compiled result may differ from Python's."""
 
 # The written test compares at this many points inside the bounds, and at up to `_MOST_CORNERS` corners.
-_INTERIOR_POINTS = 6
+_TEST_POINTS = 6
 _MOST_CORNERS = 9
 
 
@@ -130,7 +130,7 @@ def _casadi_code(name: str, functions: Collection[ca.Function]) -> str:
 def _test(component: Component, functions: Mapping[str, ca.Function]) -> str:
     """Return a C program that compares values and derivatives with those that Python computes now."""
     corners = corner_points(component.inputs)[:_MOST_CORNERS]
-    points = [*interior_points(component.inputs)[:_INTERIOR_POINTS], *corners]
+    points = [*interior_points(component.inputs)[:_TEST_POINTS], *corners]
     rows = {verb: _rows(function(x).full().ravel(order="F") for x in points) for verb, function in functions.items()}
     name = component.name()
     made = {"name": name, "upper": name.upper(), "count": len(points), "points": _rows(points), "most": MOST_ULP}

@@ -24,15 +24,7 @@ import numpy as np
 from plough_opt.core.checks import check_choice
 from plough_opt.core.compiler import NOT_FOUND, compile_library, find_compiler
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import (
-    Column,
-    as_number,
-    is_casadi,
-    is_quantity,
-    is_symbolic,
-    map_expressions,
-    template_of,
-)
+from plough_opt.core.expressions import as_number, is_casadi, is_quantity, is_symbolic, map_expressions, template_of
 from plough_opt.core.files import check_file, text_of, write_file
 from plough_opt.core.quantities import BESIDE, EVERY
 from plough_opt.core.units import registry
@@ -43,16 +35,17 @@ from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import Wedge
 
 KINDS: Final = {
-    "states": ("output", "continuous", "calculated"),
-    "rates": ("local", "continuous", "calculated"),
-    "outputs": ("output", "continuous", "calculated"),
-    "indicators": ("local", "continuous", "calculated"),
-    "calculated": ("calculatedParameter", "tunable", "calculated"),
-    "inputs": ("input", "continuous", "exact"),
-    "parameters": ("parameter", "tunable", "exact"),
-    "discrete": ("output", "discrete", "calculated"),
+    "states": ("output", "continuous", "calculated", "NX"),
+    "rates": ("local", "continuous", "calculated", ""),
+    "outputs": ("output", "continuous", "calculated", "NY"),
+    "indicators": ("local", "continuous", "calculated", "NZ"),
+    "calculated": ("calculatedParameter", "tunable", "calculated", "NC"),
+    "inputs": ("input", "continuous", "exact", "NU"),
+    "parameters": ("parameter", "tunable", "exact", "NP"),
+    "discrete": ("output", "discrete", "calculated", "ND"),
 }
-"""Kind of variables -> causality, variability and initial, as FMI defines them; in the order of the C source."""
+"""Kind of variables -> causality, variability and initial, as FMI defines them, and the macro in the C runtime that
+counts them, "" for none; in the order of the C source."""
 
 
 _CATEGORIES: Final = {"logStatusWarning": "warnings about a run", "logStatusError": "why a call was refused"}
@@ -60,11 +53,6 @@ _CATEGORIES: Final = {"logStatusWarning": "warnings about a run", "logStatusErro
 _TOLERANCE: Final = 1e-8
 # Base units: FMI's symbol -> pint's name.
 _BASE_UNITS: Final = {"kg": "kilogram", "m": "meter", "s": "second", "rad": "radian"}
-# Macro in the C runtime -> the kind of variables that it counts.
-_COUNTS: Final = {
-    "NX": "states", "NY": "outputs", "NZ": "indicators", "NC": "calculated", "NU": "inputs", "NP": "parameters",
-    "ND": "discrete",
-}  # fmt: skip
 _NAME: Final = re.compile(r"[A-Za-z_]\w{0,62}", re.ASCII)
 _SYSTEMS: Final = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "windows": ("windows", ".dll")}
 _PROCESSORS: Final = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
@@ -292,7 +280,7 @@ def _with_symbols(part: Any) -> tuple[Any, list[tuple[float, ca.SX]]]:
     return template, [*zip(map(float, values), template_of(template)[1], strict=True)]
 
 
-def _varying(share: DrivenShare, scene: Scene, given: ca.SX) -> dict[str, Mapping[FmuVariable, Column]]:
+def _varying(share: DrivenShare, scene: Scene, given: ca.SX) -> dict[str, Mapping[FmuVariable, Any]]:
     """Return, by kind, the variables that change during a run with their expressions.
 
     Args:
@@ -468,7 +456,7 @@ def _variables(model: FmuModel) -> Iterator[ElementTree.Element]:
     """Yield time and every variable."""
     time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
     yield _tag("Float64", **time, unit="s", description="time")
-    for kind, (causality, variability, initial) in KINDS.items():
+    for kind, (causality, variability, initial, _) in KINDS.items():
         for variable in model.of_kind[kind]:
             attributes = {
                 "name": variable.name,
@@ -514,13 +502,12 @@ def c_source(model: FmuModel, *, pushes: bool, by_speed: bool) -> tuple[str, str
         pushes: whether the contact law lets soil push a retreating share; the FMU then logs a warning if it retreats.
         by_speed: whether the strut's speed is the input.
     """
-    runtime = (text_of(__package__, name) for name in ("fmu_runtime.c", "fmu_optional.c"))
     # CasADi's functions are static: only the runtime in the same source calls them.
     generator = ca.CodeGenerator("share.c", {"with_header": False, "main": False, "casadi_int": "long long"})
     for function in model.functions.values():
         generator.add(function)
     equations = f"#define CASADI_SYMBOL_EXPORT static\n{generator.dump()}"
-    parts = (_constants(model, pushes, by_speed), equations, *runtime)
+    parts = (_constants(model, pushes, by_speed), equations, text_of(__package__, "fmu_runtime.c"))
     # The token covers what is computed; names and units are in the description only.
     token = hashlib.sha256("".join(parts).encode()).hexdigest()[:32]
     return "\n".join((f'#define TOKEN "{token}"', *parts)), token
@@ -529,7 +516,7 @@ def c_source(model: FmuModel, *, pushes: bool, by_speed: bool) -> tuple[str, str
 def _constants(model: FmuModel, pushes: bool, by_speed: bool) -> str:
     """Return the C of sizes and options, and of the variables' domains, start values and orders of magnitude."""
     of_kind, functions = model.of_kind, model.functions
-    counts = {count: len(of_kind[kind]) for count, kind in _COUNTS.items()} | {
+    counts = {macro: len(of_kind[kind]) for kind, (*_, macro) in KINDS.items() if macro} | {
         "NQ": functions["derive"].numel_out(0),
         "NW": max(function.sz_w() for function in functions.values()),
         "PUSHES": int(pushes),

@@ -64,7 +64,7 @@ _ALL_TOLERANCES: Final = tuple(float(f"{digit}e-{power}") for power in range(2, 
 # Smallest error that "auto" accepts.
 _TIGHTEST = 1e-12
 # Factor on the time allowed to the default, which is reported even if it takes long.
-_PATIENCE = 20.0
+_DEFAULT_PATIENCE = 20.0
 # Factor by which the next finer setting may be expected to take longer.
 _NEXT_SETTING: Final = 3.0
 # Contestants within this factor of the least time are narrowed down; their coarsest good setting is timed again.
@@ -197,7 +197,7 @@ class _Trial:
         for place in every if contestant.always is None else contestant.always:
             setting = contestant.settings[place]
             expected = max(expected, contestant.least_time(setting))
-            allowed = self._allowance * (_PATIENCE if setting == contestant.patient else 1.0)
+            allowed = self._allowance * (_DEFAULT_PATIENCE if setting == contestant.patient else 1.0)
             if expected > allowed:
                 self._fail(place, f"cut off: expected to take {expected:.2g} s, {allowed:.2g} s allowed")
             else:
@@ -434,12 +434,7 @@ def gradients(task: Task, reference: ReferenceGradient) -> list[MethodResult]:
         run = simulate(replace(task.scene, **varied), task.given, accuracy=accuracy, outputs=1)
         averages = ca.vertcat(*(getattr(run, name) for name in AVERAGES))
         function = ca.Function("gradient", [x], [ca.densify(ca.jacobian(averages, x))])
-
-        def find() -> Any:
-            (gradient,) = _finite([function(at)])
-            return gradient * at
-
-        return lambda: function(at), find
+        return lambda: function(at), lambda: _finite([function(at)])[0] * at
 
     def errors(gradient: Any) -> Mapping[str, float]:
         size = np.max(np.abs(reference.values))

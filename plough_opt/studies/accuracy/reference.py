@@ -85,9 +85,9 @@ _PICARD_STALLED = 1e4
 # From here on it diverges.
 _DIVERGED = 1e40
 # A coefficient below this many units in the last place is rounding.
-_TAIL = 4.0
+_NO_COEFFICIENT = 4.0
 # Values below this many units in the last place of the largest value have no certain sign.
-_ROUNDING = 1e3
+_NO_SIGN = 1e3
 # Degree of the polynomial that locates events in a step.
 _EVENT_DEGREE = 48
 # Parts of each subdivision of the interval around an event, and subdivisions: enough for one unit in the last place.
@@ -604,7 +604,7 @@ def step(
         return None
     coefficients = states @ basis.coefficients.T
     largest = max(scales[1], np.max(np.abs(states[1])))
-    above = np.flatnonzero(np.abs(coefficients[1]) > _TAIL * EPS * largest)
+    above = np.flatnonzero(np.abs(coefficients[1]) > _NO_COEFFICIENT * EPS * largest)
     used = (1.0 + above[-1]) / degree if above.size else 0.0
     return None if used > 1.0 else Step(start, size, coefficients, used)
 
@@ -647,7 +647,7 @@ def first_end(function: Callable[[LongDouble], LongDouble], start: LongDouble, s
 
     basis = Basis.of(_EVENT_DEGREE)
     values = at(basis.nodes)
-    zero = _ROUNDING * EPS * np.max(np.abs(values))
+    zero = _NO_SIGN * EPS * np.max(np.abs(values))
     series = chebyshev.chebtrim((basis.coefficients @ values).astype(float), float(zero))
     if series[0] > np.sum(np.abs(series[1:])):
         return None

@@ -46,7 +46,7 @@ from plough_opt.design.model.nlp import averages_only, split
 from plough_opt.design.model.optimality import decides, newton_step, symmetric
 from plough_opt.design.model.program import Program
 from plough_opt.design.search.effort import Search
-from plough_opt.design.search.explore import silent
+from plough_opt.design.search.explore import notifier
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers.integrators import integration
@@ -75,7 +75,7 @@ _EFFORTS: Final[tuple[Search, ...]] = ("near", 250, 1000, "auto", "thorough")
 # Number of seeds for each effort, and in a thin study.
 _SEEDS, _THIN_SEEDS = 8, 3
 # Objectives or medians with a smaller relative difference belong to the same optimum: medians come from rough runs.
-_SAME = 1e-5
+_SAME_RANK = 1e-5
 # Factor on the number of steps of a solve for the reference. With order 8 the error is smaller by 4^8.
 _FINER = 4.0
 # Gradients of the reference: tolerance of the adaptive method; for a periodic orbit phase in a step of order 8 [rad].
@@ -87,7 +87,7 @@ _FAR = 1e-4
 # Newton's steps diverge if one is longer than the shortest before it by this factor.
 _DIVERGES = 1e3
 # Least size that errors of the objective are relative to, in units of its scale.
-_LEAST_SIZE = 1e-12
+_LEAST_OBJECTIVE = 1e-12
 # Singular values below this part of the largest belong to directions in which the optimum is not unique.
 _FLAT = 1e-10
 
@@ -137,7 +137,7 @@ class SearchTrial:
         A search is right if it finds the best optimum that any of the searches found, since no other truth is known.
         """
         least = ranked_value(best)
-        right = sum(ranked_value(optimum) <= least + _SAME * abs(least) for optimum in self.found)
+        right = sum(ranked_value(optimum) <= least + _SAME_RANK * abs(least) for optimum in self.found)
         designs = int(median([optimum.search.designs for optimum in self.found if optimum.search] or [0]))
         return Thoroughness(self.setting, designs, len(self.optima), right, self.seconds)
 
@@ -243,7 +243,7 @@ def reference_optimum(declared: Declarations, best: Optimum) -> OptimumReference
         raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)
     y, residual, off = _polished(program, p, point)
     objective, check = (float(values[0].item()) for values in program.exact_values(y, p))
-    size = max(abs(objective), program.objective_scale * _LEAST_SIZE)
+    size = max(abs(objective), program.objective_scale * _LEAST_OBJECTIVE)
     # The error of an objective at its optimum is the residual times the error of the variables.
     rounding = float(np.finfo(float).eps)
     floor = max(abs(objective - check) / size, residual * max(off, residual), rounding)
@@ -363,7 +363,7 @@ def study_accuracy(
         0.1
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
-    _check(wanted, title, progress, derivatives=derivatives, thin=thin)
+    _check(wanted, title, derivatives=derivatives, thin=thin)
     if holds_casadi(scene):
         scene = map_expressions(scene, lambda value: float(as_number(value)))
     check_domain("time allowed to a method", plain_number("allowance", allowance), "s", above=0.0)
@@ -372,7 +372,7 @@ def study_accuracy(
     if scene.effects.orbit != "transient":
         scene = replace(scene, effects=replace(scene.effects, orbit="periodic"))
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
-    entries, floors, notes = _contests(task, progress or silent, derivatives=derivatives)
+    entries, floors, notes = _contests(task, notifier(progress), derivatives=derivatives)
     defaults = {MOTION: (AUTO, f"error {DEFAULT_ERROR:.0e}"), DERIVATIVES: (AUTO, "default")}
     return AccuracyStudy(title, duration, wanted, tuple(entries), floors, tuple(notes), defaults, _versions())
 
@@ -416,9 +416,9 @@ def study_design(
         >>> study = po.study_design(design, thin=True)  # doctest: +SKIP
     """
     check_kind("the design", design, Design, "a Design")
-    _check(wanted, title, progress, thin=thin)
+    _check(wanted, title, thin=thin)
     check_domain("time allowed to a search", plain_number("limit", limit), "s", above=0.0)
-    trials = search_trials(design, limit=limit, thin=thin, progress=progress or silent)
+    trials = search_trials(design, limit=limit, thin=thin, progress=notifier(progress))
     best = min((optimum for trial in trials for optimum in trial.found), key=ranked_value)
     entries, floors, notes = list[MethodResult](), dict[str, float](), list[str]()
     try:
@@ -486,11 +486,9 @@ def _versions() -> dict[str, str]:
     return {**versions(), "scipy": version("scipy"), **machine}
 
 
-def _check(wanted: float, title: str, progress: Progress | None, **switches: bool) -> None:
+def _check(wanted: float, title: str, **switches: bool) -> None:
     """Raise InputError or DomainError if an argument has the wrong type or the wanted error is out of range."""
     check_text("title", title)
-    if progress is not None:
-        check_callable("progress", progress, "of what is being done and the fraction done")
     for name, value in switches.items():
         check_switch(name, value)
     check_domain("wanted error", plain_number("wanted", wanted), at_least=1e-15, at_most=0.1)
@@ -499,7 +497,7 @@ def _check(wanted: float, title: str, progress: Progress | None, **switches: boo
 # Evaluations of which the median time is taken.
 _REPEATS = 5
 # Relative error that is due to rounding, so that further refinement gains nothing.
-_ROUNDING = 1e-14
+_LEAST_ERROR = 1e-14
 
 
 @dataclass(frozen=True)
@@ -551,7 +549,7 @@ class Refinement:
         every = [*zip(self.sizes, self.errors, self.cost, strict=True)]
         rows = [f"{'size':>6} {'relative error':>16} {'time, fastest = 1':>18}"]
         rows += [f"{size:>6} {error:>16.1e} {cost:>18.1f}" for size, error, cost in every]
-        if enough := [size for size, error, _ in every if error <= _ROUNDING]:
+        if enough := [size for size, error, _ in every if error <= _LEAST_ERROR]:
             rows.append(f"At {enough[0]} only rounding errors remain; larger sizes gain nothing.")
         return "\n".join(rows)
 

@@ -8,21 +8,11 @@ from typing import Any
 import numpy as np
 
 from plough_opt.core.checks import array_of, check_choice, check_named, check_text, mapping_of, whole_number
-from plough_opt.core.errors import DomainError, InputError
+from plough_opt.core.errors import DomainError, InputError, about
 from plough_opt.core.plain_data import Array
-from plough_opt.motion.scene import Scene
 from plough_opt.studies.calibration.estimate import ERRORS, INSIDE, LOSSES, NOMINAL, Data, LeastSquares, Setup, estimate
 from plough_opt.studies.calibration.fit import Fit, reported
-from plough_opt.studies.calibration.model import (
-    CalibrationModel,
-    Described,
-    Measurements,
-    Rows,
-    SceneOf,
-    measurable,
-    model_of,
-    predictor,
-)
+from plough_opt.studies.calibration.model import CalibrationModel, Given, Measurements, Rows, model_of, predictor
 
 
 class Calibration:
@@ -56,7 +46,7 @@ class Calibration:
 
     def __init__(
         self,
-        given: Described | Scene | SceneOf,
+        given: Given,
         data: Measurements | Sequence[Measurements],
         unknown: Mapping[str, Any] | None = None,
         *,
@@ -147,10 +137,7 @@ class Calibration:
 
 
 def calibrate(
-    given: Described | Scene | SceneOf,
-    data: Measurements | Sequence[Measurements],
-    unknown: Mapping[str, Any] | None = None,
-    **options: Any,
+    given: Given, data: Measurements | Sequence[Measurements], unknown: Mapping[str, Any] | None = None, **options: Any
 ) -> Fit:
     """Estimate soil and model parameters from measurements, by least squares between bounds.
 
@@ -190,23 +177,21 @@ def _check_names(model: CalibrationModel, measured: Sequence[Measurements]) -> N
     for m in measured:
         if both := names & set(m.conditions):
             raise InputError(f"{m.name}: '{min(both)}' is a column of the data, so it cannot be an unknown")
-        if m.result not in measurable() and m.result not in names:
+        if m.direct and m.result not in names:
             listed = ", ".join(sorted(names))
             raise InputError(f"{m.name}: '{m.result}' was measured, but is not among the unknowns: {listed}")
 
 
 def _check_bounds(model: CalibrationModel, measured: Sequence[Measurements]) -> None:
     """Raise InputError if the bounds or the first row are outside the model's domain; `Rows` checks other rows."""
-    first = next((m for m in measured if m.result in measurable()), measured[0])
+    first = next((m for m in measured if not m.direct), measured[0])
     guess = {unknown.name: unknown.guess for unknown in model.unknowns} | first.at(0)
     tried = {first.row(0): guess}
     for u in model.unknowns:
         tried |= {f"{side} bound of '{u.name}'": guess | {u.name: getattr(u, side)} for side in ("lower", "upper")}
     for place, values in tried.items():
-        try:
+        with about(f"{place}:", DomainError):
             model.scene(values)
-        except DomainError as error:
-            raise InputError(f"{place}: {error}") from None
 
 
 def _data(measured: Sequence[Measurements], errors: str) -> Data:

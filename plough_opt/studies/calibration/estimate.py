@@ -38,12 +38,12 @@ moves determined unknowns by less than a hundredth of their standard errors.
 # Tolerances near rounding: the loss is flat at its optimum, so that half the digits of the unknowns suffice for it.
 _TOLERANCES: Final = {"ftol": 1e-11, "xtol": 1e-8, "gtol": 1e-11, "max_nfev": 200}
 # Least curvature of a loss, relative to its weight; a robust loss is concave for large residuals.
-_LEAST_CURVATURE: Final = 0.1
+_LEAST_LOSS_CURVATURE: Final = 0.1
 # A fit has converged if a Gauss-Newton step would lower the sum of squares by less than this, in squared standard
 # deviations: the unknowns are then within 1e-4 of a standard deviation.
 _DECREMENT: Final = 1e-8
 # A prediction below this part of the largest has the error of that part, so that none has an error of 0.
-_LEAST_SIZE: Final = 1e-3
+_LEAST_PREDICTION: Final = 1e-3
 AT_BOUND: Final = 1e-6
 """A scaled unknown that is closer to a bound counts as being on it."""
 
@@ -132,7 +132,7 @@ class Data:
         if not self.relative:
             return self
         size = np.abs(predicted)
-        return replace(self, weights=self.weights / np.maximum(size, _LEAST_SIZE * float(np.max(size)) or 1.0))
+        return replace(self, weights=self.weights / np.maximum(size, _LEAST_PREDICTION * float(np.max(size)) or 1.0))
 
     @property
     def count(self) -> int:
@@ -239,7 +239,7 @@ class LeastSquares:
         gradient = slope.T @ (first * r)
         outward = ((y < AT_BOUND) & (gradient >= 0.0)) | ((y > 1.0 - AT_BOUND) & (gradient <= 0.0))
         free = free & ~outward
-        curvature = np.maximum(first + 2.0 * z * second, _LEAST_CURVATURE * first)
+        curvature = np.maximum(first + 2.0 * z * second, _LEAST_LOSS_CURVATURE * first)
         hessian = (slope[:, free] * curvature[:, None]).T @ slope[:, free]
         return float(gradient[free] @ np.linalg.lstsq(hessian, gradient[free], rcond=1e-12)[0])
 
@@ -274,7 +274,7 @@ class Setup:
 # Singular values below this part of the largest are rounding: the predictions do not depend on such directions.
 _STRUCTURAL: Final = 1e-9
 # Smaller components of a direction without effect (a unit vector) are rounding.
-_ROUNDING: Final = 1e-6
+_NO_PART: Final = 1e-6
 # Smaller components of a combination with little effect, relative to its largest, are left out.
 _MINOR: Final = 0.02
 
@@ -331,7 +331,7 @@ def identifiability_of(slope: Array, noise: float) -> Identifiability:
     deviation = np.full(count, np.inf)
     deviation[~structural] = noise / sizes[~structural]
     undetermined_directions = deviation >= UNIFORM
-    parts = np.where(np.abs(directions) > np.where(structural, _ROUNDING, 0.0), directions, 0.0)
+    parts = np.where(np.abs(directions) > np.where(structural, _NO_PART, 0.0), directions, 0.0)
     with np.errstate(invalid="ignore"):
         variance = np.where(parts != 0.0, parts**2 * deviation**2, 0.0).sum(axis=1)
     determined = variance < UNIFORM**2
@@ -351,7 +351,7 @@ def identifiability_of(slope: Array, noise: float) -> Identifiability:
 
 def undetermined(unknowns: Sequence[Unknown], y: Array, spread: Identifiability) -> tuple[Undetermined, ...]:
     """Return the undetermined combinations, each of as few unknowns as possible."""
-    without_effect, pivots = _sparse(spread.free[:, spread.structural], _ROUNDING)
+    without_effect, pivots = _sparse(spread.free[:, spread.structural], _NO_PART)
     # Directions without effect may be subtracted from those with little effect, which leaves fewer unknowns in these.
     weak = spread.free[:, ~spread.structural]
     weak, _ = _sparse(weak - without_effect @ weak[pivots, :], _MINOR)
@@ -421,12 +421,12 @@ _MAD: Final = 1.4826
 # Limit on the number of fits that determine the scale of a robust loss. Poor data take some fifty, rarely more.
 _MOST_RESCALINGS: Final = 100
 # The scale has settled when it changes by less than this part.
-_SETTLED: Final = 1e-4
+_SCALE_SETTLED: Final = 1e-4
 # Least scale of residuals relative to the nominal one per cent: runs predict to 1e-8, so less is not scatter of data.
 # With a much smaller one the search, whose steps end at 1e-8, would never count as converged.
 _LEAST_SCALE: Final = 1e-6
 # Optima whose losses differ by less than this, relative, count as the same.
-_SAME: Final = 1e-6
+_SAME_LOSS: Final = 1e-6
 # Least mean curvature of a robust loss: with less, nearly all rows are outliers.
 _LEAST_MEAN_CURVATURE: Final = 0.05
 
@@ -507,7 +507,7 @@ def estimate(setup: Setup, data: Data, guess: Array, starts: int) -> Estimate:
         # Relative weights, and the scale that a robust loss needs, depend on the fit: repeat until all settle.
         for _ in range(_MOST_RESCALINGS):
             before, scaled = scaled, _rescaled(problem, data, best.y)
-            if np.all(np.abs(scaled.weights - before.weights) <= _SETTLED * before.weights):
+            if np.all(np.abs(scaled.weights - before.weights) <= _SCALE_SETTLED * before.weights):
                 break
             best = problem.solve(best.y, scaled)
         best, optima = _best(problem, scaled, best.y, starts)
@@ -542,7 +542,7 @@ def _best(problem: LeastSquares, data: Data, guess: Array, starts: int) -> tuple
         raise NotConverged(f"{failed}: {remedy}", minima[0].status)
     losses = [converged[0].loss]
     for minimum in converged[1:]:
-        if minimum.loss - losses[-1] > _SAME * (1.0 + losses[-1]):
+        if minimum.loss - losses[-1] > _SAME_LOSS * (1.0 + losses[-1]):
             losses.append(minimum.loss)
     return converged[0], tuple(losses)
 

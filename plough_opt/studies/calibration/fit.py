@@ -181,7 +181,7 @@ def fitted_unknowns(fit: Estimate) -> tuple[FittedUnknown, ...]:
     """Return every unknown with its standard error."""
     errors = np.where(fit.spread.determined, np.sqrt(np.diag(fit.spread.covariance)), np.inf)
     return tuple(
-        FittedUnknown(u.name, u.unit, float(u.value(y)), float(error * u.slope(y)), u.lower, u.upper, error < np.inf)
+        FittedUnknown(u.name, u.unit, float(u.unscaled(y)), float(error * u.slope(y)), u.lower, u.upper, error < np.inf)
         for u, y, error in zip(fit.unknowns, fit.y.tolist(), errors.tolist(), strict=True)
     )
 
@@ -361,11 +361,13 @@ class Fit(Saveable):
         """
         level = check_level(level)
         check_choice("kind", kind, ("profile", "linearised"))
-        if (level, kind) not in self._intervals:
+        asked = [known for known in self._known if (known.level, known.asked) == (level, kind)]
+        if not asked:
             estimate = self._source_to(f"compute {kind} intervals of level {level:g} of")
-            intervals = {u.name: interval(estimate, k, level, kind) for k, u in enumerate(estimate.unknowns)}
-            self._intervals[level, kind] = intervals
-        return dict(self._intervals[level, kind])
+            intervals = ((u.name, interval(estimate, k, level, kind)) for k, u in enumerate(estimate.unknowns))
+            asked = [KnownInterval(name, level, kind, found) for name, found in intervals]
+            self._known.extend(asked)
+        return {known.name: known.interval for known in asked}
 
     def next_measurements(self, candidates: Sequence[Candidate] | None = None) -> tuple[NextMeasurement, ...]:
         """Return possible further measurements with their gain of information, the best first.
@@ -507,9 +509,8 @@ class Fit(Saveable):
             24
         """
         names = ("place", "result", "unit", "observed", "predicted", "residual", "sigma", "standard_error")
-        frame = data_frame({name: [getattr(row, name) for row in self.rows] for name in names}, {})
-        frame.attrs["units"] = {row.result: row.unit for row in self.rows}
-        return frame
+        columns = {name: [getattr(row, name) for row in self.rows] for name in names}
+        return data_frame(columns, {}, {row.result: row.unit for row in self.rows})
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw measured against predicted values, the residuals, and their distribution.
@@ -562,22 +563,14 @@ class Fit(Saveable):
         for kind in ("linearised", "profile"):
             self.intervals(0.95, kind)
         self.intervals(level)
-        computed = {**self._intervals}
-        computed[level, "profile"] = computed.pop((level, "profile"))
-        intervals = tuple(
-            KnownInterval(name, level, kind, interval)
-            for (level, kind), by_name in computed.items()
-            for name, interval in by_name.items()
-        )
-        return replace(self, saved_intervals=intervals, saved_next=self.next_measurements())
+        # Tables show the last profile intervals.
+        last = sorted(self._known, key=lambda known: (known.level, known.asked) == (level, "profile"))
+        return replace(self, saved_intervals=tuple(last), saved_next=self.next_measurements())
 
     @cached_property
-    def _intervals(self) -> dict[tuple[float, Kind], dict[str, Interval]]:
-        """(level, kind) -> intervals that were loaded, or computed so far."""
-        intervals: dict[tuple[float, Kind], dict[str, Interval]] = {}
-        for item in self.saved_intervals:
-            intervals.setdefault((item.level, item.asked), {})[item.name] = item.interval
-        return intervals
+    def _known(self) -> list[KnownInterval]:
+        """Intervals that were loaded, or computed so far."""
+        return [*self.saved_intervals]
 
     @cached_property
     def _ranking(self) -> tuple[NextMeasurement, ...]:

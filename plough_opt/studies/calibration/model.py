@@ -26,12 +26,13 @@ from plough_opt.core.checks import (
     shown,
     whole_number,
 )
-from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import ByValue, Column, Expression, as_number, exp, is_symbolic, stacked
+from plough_opt.core.errors import DomainError, InputError, about
+from plough_opt.core.expressions import ByValue, Column, Expression, as_number, is_symbolic, stacked
 from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.quantities import every_quantity, quantities
 from plough_opt.core.tables import columns_of, heading_of, raise_listed, read_rows, table_of
 from plough_opt.core.units import Unit, in_si
+from plough_opt.design.declarations import Scaled
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import simulate
 from plough_opt.motion.methods import Accuracy
@@ -131,6 +132,11 @@ class Measurements(ByValue):
         return len(self.values)
 
     @property
+    def direct(self) -> bool:
+        """Whether a quantity of the scene was measured, and not a result."""
+        return self.result not in measurable()
+
+    @property
     def counted(self) -> NDArray[np.bool_]:
         """Mask of the rows that are not left out by a weight of 0."""
         return np.full(self.rows, True) if self.weights is None else self.weights > 0.0
@@ -187,7 +193,7 @@ class Measurements(ByValue):
 
     def _check_columns(self) -> None:
         """Raise InputError if numbers are outside their domains, or if the columns do not go together."""
-        if self.result in measurable() and self.result != RECORD:
+        if not self.direct and self.result != RECORD:
             self._check_rows(self.result, self.values, self.values < 0.0, "at least 0: forces count against the travel")
         if self.sigma is not None:
             self._check_rows("sigma", self.sigma, self.sigma <= 0.0, "above 0: it is a standard deviation")
@@ -318,6 +324,8 @@ SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]
 _DURATION = "scene.duration"
 # An unknown whose bounds have at least this ratio is scaled logarithmically.
 _LOG_RATIO = 10.0
+# Assumed standard deviation of a direct measurement of an unknown, as a part of the distance of its bounds.
+_DIRECT_ERROR: Final = 0.05
 
 
 @runtime_checkable
@@ -343,8 +351,12 @@ class Described(Protocol):
         """Return the scene with changed values of some quantities."""
 
 
+Given: TypeAlias = Described | Scene | SceneOf
+"""What a calibration takes as its model."""
+
+
 @dataclass(frozen=True)
-class Unknown:
+class Unknown(Scaled):
     """A quantity to find.
 
     Attributes:
@@ -363,12 +375,6 @@ class Unknown:
     guess: float
     log: bool
 
-    def value(self, y: Expression) -> Expression:
-        """Return the quantity at a scaled value from 0 to 1, a number or a symbol."""
-        if self.log:
-            return self.lower * exp(y * math.log(self.upper / self.lower))
-        return self.lower + y * (self.upper - self.lower)
-
     def read(self, what: str, value: Any) -> float:
         """Return a value in SI, given as a number, text with a unit or a pint quantity.
 
@@ -380,11 +386,10 @@ class Unknown:
         check_domain(what, read, self.unit, above=0.0 if self.log else -np.inf, why=why)
         return plain_number(what, read)
 
-    def slope(self, y: float) -> float:
-        """Return the derivative of the quantity by its scaled value."""
-        if self.log:
-            return float(self.value(y)) * math.log(self.upper / self.lower)
-        return self.upper - self.lower
+    @property
+    def direct_error(self) -> float:
+        """Standard deviation that is assumed for a direct measurement."""
+        return _DIRECT_ERROR * (self.upper - self.lower)
 
     def scaled(self, value: float) -> float:
         """Return the scaled value of a quantity."""
@@ -420,7 +425,7 @@ class CalibrationModel:
 
     def values(self, y: Sequence[Expression] | Array) -> dict[str, Expression]:
         """Return name -> value of the unknowns at scaled values."""
-        return {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(self.unknowns)}
+        return {unknown.name: unknown.unscaled(y[k]) for k, unknown in enumerate(self.unknowns)}
 
     def scene(self, values: Mapping[str, Expression]) -> Scene:
         """Return the scene with changed values; a duration among them is ignored, as it is not part of the scene."""
@@ -435,7 +440,7 @@ class CalibrationModel:
 
 
 def model_of(
-    given: Described | Scene | SceneOf, duration: float | None, unknown: Mapping[str, Any] | None, columns: Set[str]
+    given: Given, duration: float | None, unknown: Mapping[str, Any] | None, columns: Set[str]
 ) -> CalibrationModel:
     """Return the model of a problem, a scene or a function.
 
@@ -551,11 +556,6 @@ class Rows:
         distinct, which = np.unique(np.column_stack(columns), axis=0, return_inverse=True)
         return distinct[:, 1:], which.ravel()
 
-    @property
-    def direct(self) -> bool:
-        """Whether an unknown was measured directly."""
-        return self.measured.result not in measurable()
-
     def scenes(self, y: Sequence[Expression] | Array) -> list[SceneOfRows]:
         """Return the distinct scenes at scaled unknowns, with their durations and rows.
 
@@ -563,14 +563,12 @@ class Rows:
             InputError: the conditions of a row are outside the model's domain.
         """
         scenes = []
-        for number, conditions in enumerate([] if self.direct else self._distinct[0].tolist()):
+        for number, conditions in enumerate([] if self.measured.direct else self._distinct[0].tolist()):
             rows = np.flatnonzero(self._distinct[1] == number)
             values = self.model.values(y) | dict(zip(self.measured.conditions, conditions, strict=True))
-            try:
+            with about(f"{self.measured.row(int(rows[0]))}:", DomainError):
                 scene = self.model.scene(values)
                 scene.check_reaction()
-            except DomainError as error:
-                raise InputError(f"{self.measured.row(int(rows[0]))}: {error}") from None
             time = self.measured.time
             duration = self.model.duration_of(values) if time is None else float(np.max(time[rows]))
             scenes.append((scene, duration, rows))
@@ -582,7 +580,7 @@ class Rows:
         Raises:
             InputError: the conditions of a row are outside the model's domain, or the duration is missing.
         """
-        if self.direct:
+        if self.measured.direct:
             values: dict[str, Column] = {**self.model.values(ca.vertsplit(y))}
             value = ca.MX.ones(self.measured.rows) * values[self.measured.result]
             return value, ca.jacobian(value, y), True

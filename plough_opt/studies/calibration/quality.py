@@ -13,21 +13,12 @@ from plough_opt.core.checks import check_kind, check_named, plain_number, shown,
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, NotConverged
 from plough_opt.core.expressions import ByValue, as_number
 from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite
+from plough_opt.core.quantities import every_quantity
 from plough_opt.core.units import in_words
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.calibration.estimate import AT_BOUND, UNIFORM, Estimate, Setup, estimate
-from plough_opt.studies.calibration.model import (
-    RECORD,
-    Measurements,
-    Rows,
-    SceneOfRows,
-    Unknown,
-    is_closed,
-    measurable,
-    predictor,
-    result_unit,
-)
+from plough_opt.studies.calibration.model import RECORD, Measurements, Rows, SceneOfRows, is_closed, predictor
 
 Kind = Literal["profile", "linearised"]
 
@@ -88,8 +79,8 @@ def interval(fit: Estimate, k: int, level: float, kind: Kind) -> Interval:
             kind = "linearised"
     unknown = fit.unknowns[k]
     clipped = {"lower": low <= AT_BOUND, "upper": high >= 1.0 - AT_BOUND}
-    lower = unknown.lower if clipped["lower"] else float(unknown.value(low))
-    upper = unknown.upper if clipped["upper"] else float(unknown.value(high))
+    lower = unknown.lower if clipped["lower"] else float(unknown.unscaled(low))
+    upper = unknown.upper if clipped["upper"] else float(unknown.unscaled(high))
     return Interval(lower, upper, tuple(side for side, at_bound in clipped.items() if at_bound), kind)
 
 
@@ -126,8 +117,6 @@ def _profile_end(fit: Estimate, k: int, sign: float, quantile: float) -> float:
         near, reach = far, 2.0 * reach
 
 
-# Assumed standard deviation of a direct measurement of an unknown, as a part of the distance of its bounds.
-_DIRECT_ERROR: Final = 0.05
 # Conditions of the proposed measurements, as factors on the median of the measured ones.
 _FACTORS: Final = {"share.wedge_angle": (0.6, 1.5), "share.height": (0.7, 1.4), "scene.tow_speed": (0.5, 1.7)}
 # Largest wedge angle that is proposed.
@@ -173,7 +162,7 @@ class Candidate:
             return self.why
         if not self.conditions:
             return f"{self.result} again"
-        words = (f"{key} = {in_words(x, result_unit(key).symbol, 3)}" for key, x in self.conditions.items())
+        words = (f"{key} = {in_words(x, every_quantity()[key].symbol, 3)}" for key, x in self.conditions.items())
         return f"{self.result} at {', '.join(words)}"
 
 
@@ -256,12 +245,12 @@ def _predicted(candidate: Candidate, fit: Estimate, slopes: Array) -> tuple[floa
     """
     for k, unknown in enumerate(fit.unknowns):
         if unknown.name == candidate.result:
-            return candidate.sigma or _direct_error(unknown), slopes[k] * np.eye(len(slopes))[k]
-    if candidate.result not in measurable():
-        raise InputError(f"'{candidate.result}' is neither a result of a run nor one of the unknowns")
+            return candidate.sigma or unknown.direct_error, slopes[k] * np.eye(len(slopes))[k]
     keys = dict.fromkeys(key for m in fit.setup.measured for key in m.conditions)
     medians = {key: median for key in keys if (median := _median(key, fit.setup)) is not None}
     added = Measurements(candidate.result, [0.0], {**medians, **candidate.conditions})
+    if added.direct:
+        raise InputError(f"'{candidate.result}' is neither a result of a run nor one of the unknowns")
     value, slope = predictor((Rows(added, fit.setup.model),), fit.setup.model)(fit.y)
     size, observed = abs(float(value)), np.abs(fit.data.observed)
     counted = (fit.data.weights > 0.0) & (observed > 0.0)
@@ -272,7 +261,7 @@ def _predicted(candidate: Candidate, fit: Estimate, slopes: Array) -> tuple[floa
 def _proposals(setup: Setup) -> list[Candidate]:
     """Return the default candidates: other conditions, other results, and direct measurements of the unknowns."""
     names = {unknown.name for unknown in setup.model.unknowns}
-    results = [m.result for m in setup.measured if m.result in measurable() and m.result != RECORD] or ["mean_draft"]
+    results = [m.result for m in setup.measured if not m.direct and m.result != RECORD] or ["mean_draft"]
     candidates: list[Candidate] = []
     for result in dict.fromkeys(results):
         candidates.append(Candidate(result))
@@ -290,15 +279,9 @@ def _proposals(setup: Setup) -> list[Candidate]:
     if "loosened_radius" not in results:
         candidates.append(Candidate("loosened_radius", why="loosened_radius"))
     for unknown in setup.model.unknowns:
-        error = _direct_error(unknown)
-        why = f"{unknown.name} measured directly, to ±{in_words(error, unknown.unit, 3)}"
-        candidates.append(Candidate(unknown.name, sigma=error, why=why))
+        why = f"{unknown.name} measured directly, to ±{in_words(unknown.direct_error, unknown.unit, 3)}"
+        candidates.append(Candidate(unknown.name, sigma=unknown.direct_error, why=why))
     return candidates
-
-
-def _direct_error(unknown: Unknown) -> float:
-    """Return the standard deviation that is assumed for a direct measurement of an unknown."""
-    return _DIRECT_ERROR * (unknown.upper - unknown.lower)
 
 
 def _median(key: str, setup: Setup) -> float | None:
@@ -313,7 +296,7 @@ _SIGNIFICANCE: Final = 1e-3
 # to 24 rows with proportional errors, whose results differ by a factor of five, five in six are warned of.
 _GROWING: Final = 0.05
 # Differences and parts below this are rounding.
-_ROUNDING: Final = 1e-9
+_NO_DIFFERENCE: Final = 1e-9
 # A residual above this many standard deviations is an outlier.
 _OUTLIER: Final = 4.0
 # The scale of a robust loss has not settled if the residuals differ from it by more than this part.
@@ -332,17 +315,9 @@ def caveats(fit: Estimate) -> tuple[str, ...]:
     """Return the warnings about a fit."""
     at_fit = [rows.scenes(fit.y) for rows in fit.setup.rows]
     scenes = [scene for of_set in at_fit for scene, _, _ in of_set]
-    of_fit = (
-        _scatter_notes,
-        _scale_notes,
-        _error_notes,
-        _outlier_notes,
-        _correlation_notes,
-        _bound_notes,
-        _optima_notes,
-    )
-    of_scenes = (*_accuracy_notes(fit, at_fit), *_bluntness_notes(scenes), *_pressure_notes(fit, scenes))
-    return (*(note for notes_of in of_fit for note in notes_of(fit)), *of_scenes)
+    of_scatter = (*_scatter_notes(fit), *_scale_notes(fit), *_error_notes(fit), *_outlier_notes(fit))
+    of_fit = (*of_scatter, *_correlation_notes(fit), *_bound_notes(fit), *_optima_notes(fit))
+    return (*of_fit, *_accuracy_notes(fit, at_fit), *_bluntness_notes(scenes), *_pressure_notes(fit, scenes))
 
 
 def _scatter_notes(fit: Estimate) -> Iterator[str]:
@@ -380,10 +355,10 @@ def _error_notes(fit: Estimate) -> Iterator[str]:
     left = np.maximum(1.0 - np.sum(base**2, axis=1), 0.0)
     by_set = _by_set(fit, np.abs(fit.predicted))
     sizes = np.concatenate([predicted / np.mean(predicted[rows.measured.counted]) for rows, predicted in by_set])
-    counted = (fit.data.weights > 0.0) & (left > _ROUNDING) & (sizes > _ROUNDING)
+    counted = (fit.data.weights > 0.0) & (left > _NO_DIFFERENCE) & (sizes > _NO_DIFFERENCE)
     logarithms = np.log(sizes[counted])
     errors = np.abs(fit.residuals[counted]) / np.sqrt(left[counted])
-    if np.ptp(logarithms) < _ROUNDING or np.ptp(errors) <= _ROUNDING * np.max(errors):
+    if np.ptp(logarithms) < _NO_DIFFERENCE or np.ptp(errors) <= _NO_DIFFERENCE * np.max(errors):
         return
     if stats.pearsonr(logarithms, errors, alternative="greater").pvalue < _GROWING:
         yield (
@@ -592,8 +567,9 @@ def _counted(fit: Estimate) -> tuple[NDArray[np.str_], NDArray[np.intp]]:
 
     Neither rows of weight 0 nor rows that measure an unknown directly are among these.
     """
-    results = np.array([m.result for m in fit.setup.measured for _ in range(m.rows)])
-    return results, np.flatnonzero(np.isin(results, measurable()) & (fit.data.weights > 0.0))
+    sets = [m for m in fit.setup.measured for _ in range(m.rows)]
+    direct = np.array([m.direct for m in sets])
+    return np.array([m.result for m in sets]), np.flatnonzero(~direct & (fit.data.weights > 0.0))
 
 
 def _without(fit: Estimate, rows: NDArray[np.intp], guess: Array, starts: int) -> Estimate:

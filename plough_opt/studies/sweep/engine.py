@@ -35,7 +35,7 @@ from plough_opt.studies.sweep.pool import (
 )
 from plough_opt.studies.sweep.question import PointGrid, PointSample, axis_of, digest_of, points_of
 from plough_opt.studies.sweep.result import Sweep
-from plough_opt.studies.sweep.store import About, State, Store, check_columns
+from plough_opt.studies.sweep.store import About, State, Store, check_columns, closed_on_error
 
 Progress = Callable[[int, int, int], object]
 """Called with the numbers of stored points, of all points, and of failed ones."""
@@ -280,32 +280,28 @@ def sweep(
     if not retry and store is not None and (finished := _finished(store, full_question)) is not None:
         return finished
     opened = Store(store)
-    try:
-        about = About.model_construct(
-            names=points.names, results=(), units=dict(units or {}), question=full_question, count=points.count
-        )
-        opened.prepare(about, retry)
-        already = opened.counts().stored
-        count = workers or available()
-        if already < points.count:
-            with ExitStack() as stack:
-                callback = progress if callable(progress) else lambda *_: None
-                if progress is True:
-                    callback = stack.enter_context(bar(Screen(stderr=True)))
-                if executor is None:
-                    used: Executor = stack.enter_context(ProcessPool(count, evaluation, seconds))
-                else:
-                    used = Cluster.of(executor) or executor
-                SweepLoop(evaluation, points, opened, used, count, callback).run()
-        opened.finish()
-    except KeyboardInterrupt:
-        done, where = opened.counts().stored, f"in '{store}': the same sweep continues from there"
-        opened.close()
-        where = where if store else "lost, because there is no store"
-        raise KeyboardInterrupt(f"{done} of {points.count} points are {where}") from None
-    except BaseException:
-        opened.close()
-        raise
+    with closed_on_error(opened):
+        try:
+            about = About.model_construct(
+                names=points.names, results=(), units=dict(units or {}), question=full_question, count=points.count
+            )
+            opened.prepare(about, retry)
+            already = opened.counts().stored
+            count = workers or available()
+            if already < points.count:
+                with ExitStack() as stack:
+                    callback = progress if callable(progress) else lambda *_: None
+                    if progress is True:
+                        callback = stack.enter_context(bar(Screen(stderr=True)))
+                    if executor is None:
+                        used: Executor = stack.enter_context(ProcessPool(count, evaluation, seconds))
+                    else:
+                        used = Cluster.of(executor) or executor
+                    SweepLoop(evaluation, points, opened, used, count, callback).run()
+            opened.finish()
+        except KeyboardInterrupt:
+            where = f"in '{store}': the same sweep continues from there" if store else "lost, because there is no store"
+            raise KeyboardInterrupt(f"{opened.counts().stored} of {points.count} points are {where}") from None
     return Sweep(opened, already)
 
 

@@ -20,29 +20,18 @@ import itertools
 import math
 import sys
 import sysconfig
+import types
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import (
-    BuiltinFunctionType,
-    CellType,
-    CodeType,
-    FunctionType,
-    GetSetDescriptorType,
-    MappingProxyType,
-    MemberDescriptorType,
-    MethodType,
-    ModuleType,
-    WrapperDescriptorType,
-)
 from typing import Any, Final
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_switch, plain_number, shown, whole_number
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import is_casadi
 from plough_opt.core.plain_data import Array
 
@@ -162,10 +151,8 @@ class PointGrid:
         self.names = tuple(axes)
         self._values: list[Array] = []
         for name, axis in axes.items():
-            try:
+            with about(f"'{name}':"):
                 self._values.append(np.array(axis.values() if isinstance(axis, Range) else axis))
-            except InputError as error:
-                raise InputError(f"'{name}': {error}") from None
         self.count = math.prod(map(len, self._values))
         if self.count >= 2**63:
             raise InputError(f"the grid has {self.count:.3g} points: use fewer values, or a sample")
@@ -253,13 +240,14 @@ def _short(values: Array) -> str:
 # Types whose repr is their whole content.
 _PLAIN: Final = (type(None), bool, int, float, complex, str, bytes, type(...), type(NotImplemented), range, slice)
 # Types that are identified by name, because they hold no code of a user's.
-_NAMED: Final = (BuiltinFunctionType, GetSetDescriptorType, MemberDescriptorType, WrapperDescriptorType, np.ufunc)
+_NAMED: Final = (types.BuiltinFunctionType, types.GetSetDescriptorType, types.MemberDescriptorType,
+                 types.WrapperDescriptorType, np.ufunc)  # fmt: skip
 _CACHE: Final = type(functools.lru_cache(lambda: None))
 # Attributes that are the content of an object; of code what it does, without its name and its place in a file.
 _MADE_OF: Final[dict[type, tuple[str, ...]]] = {
-    CodeType: ("co_code", "co_consts", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount",
+    types.CodeType: ("co_code", "co_consts", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount",
                "co_posonlyargcount", "co_kwonlyargcount", "co_flags", "co_exceptiontable"),
-    MethodType: ("__func__", "__self__"),
+    types.MethodType: ("__func__", "__self__"),
     staticmethod: ("__func__",),
     classmethod: ("__func__",),
     property: ("fget", "fset", "fdel"),
@@ -325,28 +313,29 @@ class _Reader:
 
     def _parts(self, item: Any) -> tuple[str, Iterable[Any]]:
         """Return a text and objects that together are the content of an object."""
-        if isinstance(item, ModuleType):
-            others = (value.__name__ for value in vars(item).values() if isinstance(value, ModuleType))
+        if isinstance(item, types.ModuleType):
+            others = (value.__name__ for value in vars(item).values() if isinstance(value, types.ModuleType))
             return "module", map(self._source, (item.__name__, *others))
         if isinstance(item, _Source):
             if item.installed:
                 return f"module {item.name} {_version(item)}", ()
             return f"module {item.name}", self._contents(item)
-        function = isinstance(item, FunctionType)
+        function = isinstance(item, types.FunctionType)
         # `functools.wraps` copies the name of another function's module.
         module = item.__globals__.get("__name__") if function else getattr(item, "__module__", None)
         name = f"{module}.{getattr(item, '__qualname__', '')}"
-        if isinstance(item, type | FunctionType) and (source := self._source(module)) and source.installed:
+        if isinstance(item, type | types.FunctionType) and (source := self._source(module)) and source.installed:
             return f"{name} {_version(source)}", ()
         if isinstance(item, type):
             return f"class {name}", (*item.__bases__, *_attributes(item))
-        if isinstance(item, FunctionType):
+        if isinstance(item, types.FunctionType):
             parts = (item.__code__, item.__defaults__, item.__kwdefaults__, item.__closure__, item.__dict__)
             imports = self._imports(item.__code__, item.__globals__.get("__package__") or "")
             return "function", (*parts, *_globals(item.__code__, item.__globals__), *imports)
         if isinstance(item, _NAMED):
             owner = getattr(item, "__self__", None)
-            return f"{type(item).__name__} {name or item.__name__}", () if isinstance(owner, ModuleType) else (owner,)
+            owners = [] if isinstance(owner, types.ModuleType) else [owner]
+            return f"{type(item).__name__} {name or item.__name__}", owners
         if isinstance(item, set | frozenset):
             return type(item).__name__, sorted(_Reader().digest(part) for part in item)
         if (type(item) is np.ndarray or isinstance(item, np.generic)) and not item.dtype.hasobject:
@@ -369,7 +358,7 @@ class _Reader:
             with contextlib.suppress(SyntaxError, ValueError):  # who imports it will see the error
                 yield from self._imports(compile(text, str(file), "exec"), package)
 
-    def _imports(self, code: CodeType, package: str) -> Iterator[Any]:
+    def _imports(self, code: types.CodeType, package: str) -> Iterator[Any]:
         """Yield the modules that code imports, with their packages; for one that is not found, its name."""
         steps = [step for step in dis.get_instructions(code) if step.opname != "EXTENDED_ARG"]
         for level, members, step in zip(steps, steps[1:], steps[2:], strict=False):
@@ -381,7 +370,7 @@ class _Reader:
                     yield self._source(outer) or outer
                 yield from filter(None, (self._source(f"{name}.{member}") for member in members.argval or ()))
         for inner in code.co_consts:
-            if isinstance(inner, CodeType):
+            if isinstance(inner, types.CodeType):
                 yield from self._imports(inner, package)
 
 
@@ -416,9 +405,9 @@ def _inside(item: Any) -> Iterable[Any]:
     """
     if isinstance(item, tuple | list) and type(item) in (tuple, list):
         return item
-    if isinstance(item, dict | MappingProxyType) and type(item) in (dict, MappingProxyType):
+    if isinstance(item, dict | types.MappingProxyType) and type(item) in (dict, types.MappingProxyType):
         return [part for pair in item.items() for part in pair]
-    if isinstance(item, CellType):
+    if isinstance(item, types.CellType):
         with contextlib.suppress(ValueError):  # empty
             return (item.cell_contents,)
         return ()
@@ -441,17 +430,17 @@ def _inside(item: Any) -> Iterable[Any]:
         ) from None
 
 
-def _globals(code: CodeType, names: dict[str, Any]) -> list[Any]:
+def _globals(code: types.CodeType, names: dict[str, Any]) -> list[Any]:
     """Return the globals that code names, each after its name."""
     named = [part for name in code.co_names if name in names for part in (name, names[name])]
-    inner = [_globals(constant, names) for constant in code.co_consts if isinstance(constant, CodeType)]
+    inner = [_globals(constant, names) for constant in code.co_consts if isinstance(constant, types.CodeType)]
     return [*named, *(part for parts in inner for part in parts)]
 
 
 def _attributes(of: type) -> Iterator[Any]:
     """Yield the names and the values that a class defines, without what Python and libraries keep there."""
     for name, value in vars(of).items():
-        if name not in _KEPT and not name.startswith("_abc_") and not isinstance(value, GetSetDescriptorType):
+        if name not in _KEPT and not name.startswith("_abc_") and not isinstance(value, types.GetSetDescriptorType):
             yield name
             yield value
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import itertools
-import json
 import re
 import weakref
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Literal
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.lib import format as npy
@@ -19,14 +17,14 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError, counted
-from plough_opt.core.files import COLOURS, figure_with_panels, write_file, written
-from plough_opt.core.plain_data import Array
+from plough_opt.core.files import COLOURS, CONSTANT, figure_with_panels, scale_of, write_file, written
+from plough_opt.core.plain_data import Array, json_text
 from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
-from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame, write_rows
+from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame, write_table
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.sweep.store import RESERVED, State, Store
+from plough_opt.studies.sweep.store import RESERVED, State, Store, closed_on_error
 
 if TYPE_CHECKING:
     import pandas
@@ -46,10 +44,6 @@ _MOST_COLUMNS: Final = 4
 _MOST_DOTS: Final = 2000
 # Cells across a panel of densities.
 _CELLS: Final = 40
-# A swept quantity whose largest value exceeds the smallest by more than this factor has a logarithmic axis.
-_LOG_RATIO: Final = 20.0
-# Relative change below which a result counts as constant: smaller changes are rounding.
-_CONSTANT: Final = 1e-6
 # Rows of an array that are written at once.
 _AT_ONCE: Final = 16384
 
@@ -133,13 +127,11 @@ class Sweep(Readable):
         if not path.is_file():
             raise InputError(f"there is no store {shown(str(path), 200)}")
         store = Store(path, write=False)
-        try:
+        with closed_on_error(store):
             if store.empty:
                 raise InputError(f"'{path}' is empty, not the store of a sweep")
-            return cls(store, store.counts().stored)
-        except BaseException:
-            store.close()
-            raise
+            already = store.counts().stored
+        return cls(store, already)
 
     def close(self) -> None:
         """Close the store; the results are lost if it is a temporary file.
@@ -334,7 +326,7 @@ class Sweep(Readable):
             "units": self.units, "results": ranges, **lost, "notes": self.notes, "question": self.question,
             "store": None if self.path is None else str(self.path),
         }  # fmt: skip
-        return json.dumps(summary, indent=2, allow_nan=False)
+        return json_text(summary)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each point: quantities and results in SI units, NaN where there are no results.
@@ -375,13 +367,7 @@ class Sweep(Readable):
         headings = (Display(self.units.get(name, ""), 1.0).heading(name) for name in columns)
         rows = ([*row, f"undetermined: {reason}" if state == "undetermined" else reason]
                 for *row, state, reason in self._store.rows("point", *columns, "state", "reason"))  # fmt: skip
-
-        def write(file: IO[bytes]) -> None:
-            text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-            write_rows(text, itertools.chain([["point", *headings, "reason"]], rows))
-            text.detach()  # flushes, and leaves the file open for `write_file`
-
-        return write_file(path, "table", write)
+        return write_table(path, itertools.chain([["point", *headings, "reason"]], rows))
 
     def to_npz(self, path: str | Path) -> Path:
         """Write an array for each column, under its name; in the name ``_`` stands for a slash, a backslash or a colon.
@@ -436,7 +422,7 @@ def _figure_of(swept: Sweep) -> Figure:
     colours: dict[str, Any] = {"color": COLOURS[0]}
     if len(keys) > 1:
         shades, shades_label = swept.shown(keys[1])
-        colours = {"c": shades, "cmap": "viridis", "norm": _scale(shades)}
+        colours = {"c": shades, "cmap": "viridis", "norm": scale_of(shades)}
     for axes, name in zip(panels, names, strict=True):
         points = _draw_points(axes, swept, keys[0], name, colours)
     if len(keys) > 1 and names:
@@ -455,16 +441,11 @@ def _figure_of_many(swept: Sweep, names: Sequence[str], keys: Sequence[str]) -> 
     return figure
 
 
-def _scale(values: Array) -> Literal["log", "linear"]:
-    """Return the scale of a swept quantity's axis or colours."""
-    return "log" if 0.0 < _LOG_RATIO * np.min(values) < np.max(values) else "linear"
-
-
 def _draw_points(axes: Axes, swept: Sweep, key: str, name: str, colours: Mapping[str, Any]) -> Any:
     """Draw a result over a swept quantity in one panel: a dot for each point, or the density of many."""
     (places, heading), (values, label) = swept.shown(key), swept.shown(name)
     axes.set(xlabel=heading, ylabel=label)
-    scale, finite = _scale(places), np.isfinite(values)
+    scale, finite = scale_of(places), np.isfinite(values)
     if len(swept) > _MOST_DOTS and finite.any():
         at = places[finite], values[finite]
         look: Any = {"bins": "log", "mincnt": 1, "cmap": "Blues", "linewidths": 0.0}
@@ -475,7 +456,7 @@ def _draw_points(axes: Axes, swept: Sweep, key: str, name: str, colours: Mapping
     # Show a constant result from 0, so that its rounding is not magnified.
     if finite.any() and np.max(values[finite]) > 0.0:
         largest = float(np.max(np.abs(values[finite])))
-        if np.ptp(values[finite]) < _CONSTANT * largest:
+        if np.ptp(values[finite]) < CONSTANT * largest:
             axes.set_ylim(0.0, 1.2 * largest)
     return points
 

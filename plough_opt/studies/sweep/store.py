@@ -105,7 +105,7 @@ class Store:
         self._next = 0  # number of the first point that is not claimed yet
         self._open = contextlib.ExitStack()
         self._writing = self._open.enter_context(contextlib.ExitStack())
-        try:
+        with closed_on_error(self):
             with self._naming_errors():
                 self._connection = self._to_write() if write else self._to_read()
             self._open.callback(self._connection.close)
@@ -116,9 +116,6 @@ class Store:
                 self.run("PRAGMA journal_mode = WAL")  # others can read while this run writes
                 # Nothing is lost if the process dies. A power cut may lose the last transactions but damages nothing.
                 self.run("PRAGMA synchronous = NORMAL")
-        except BaseException:
-            self.close()
-            raise
 
     def close(self) -> None:
         """Close the file."""
@@ -325,14 +322,8 @@ class Store:
         if self._connection.in_transaction:  # Ctrl-C interrupted the last one before its first statement or its commit
             self.run("ROLLBACK")
         self.run("BEGIN IMMEDIATE")
-        try:
+        with self._naming_errors(), self._connection:
             yield
-        except BaseException:
-            # A full disk may already have ended the transaction.
-            with contextlib.suppress(InputError):
-                self.run("ROLLBACK")
-            raise
-        self.run("COMMIT")
 
     @contextlib.contextmanager
     def _naming_errors(self) -> Iterator[None]:
@@ -385,6 +376,16 @@ class Store:
         return _reader(Path(folder, here.name), "mode=rw")
 
 
+@contextlib.contextmanager
+def closed_on_error(opened: Store | sqlite3.Connection) -> Iterator[None]:
+    """Close a store or a connection if what is done inside raises an error."""
+    try:
+        yield
+    except BaseException:
+        opened.close()
+        raise
+
+
 def _remove(place: Path) -> None:
     with contextlib.suppress(OSError):  # Windows does not remove open files; the next run then locks this one
         place.unlink()
@@ -398,11 +399,8 @@ def _connected(place: str | Path, timeout: float = _BUSY, uri: bool = False) -> 
 def _reader(path: Path, mode: str) -> sqlite3.Connection:
     """Return a connection to a file, after a query that raises an error if the file cannot be read."""
     connection = _connected(f"{path.as_uri()}?{mode}", uri=True)
-    try:
+    with closed_on_error(connection):
         connection.execute("SELECT count(*) FROM sqlite_master").fetchall()
-    except BaseException:
-        connection.close()
-        raise
     return connection
 
 

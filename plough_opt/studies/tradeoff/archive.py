@@ -43,13 +43,13 @@ _CACHED = 200
 # Designs whose tolerance boxes are evaluated at once.
 _BOXES_AT_ONCE = 100
 # Relative distance above the best judged value within which the minimum of a basin is followed.
-_CAN_WIN = 0.15
+_FOLLOWED = 0.15
 # Most basins that are followed for one objective.
 _MOST_BASINS = 3
 # Evolution at a position: designs for each variable, generations, and the spread of designs that counts as converged.
 _DESIGNS_EACH = 6
 _GENERATIONS = 25
-_CONVERGED = 0.01
+_ALIKE = 0.01
 
 
 class Archive:
@@ -57,6 +57,7 @@ class Archive:
 
     Attributes:
         front: the program.
+        progress: called with what is being done and the fraction done.
         seed: of the samples.
         vary: numbers of the variables that are searched; empty if only the basin of the guess is wanted.
         tried: number of designs tried.
@@ -64,7 +65,7 @@ class Archive:
         needles_beyond: number of needles found ahead of the front, without those that other designs dominate.
     """
 
-    def __init__(self, front: FrontProgram, search: Search, progress: Progress, seed: int = 0) -> None:
+    def __init__(self, front: FrontProgram, search: Search, progress: Progress, seed: int) -> None:
         """Use a program whose scales are set.
 
         Args:
@@ -76,7 +77,7 @@ class Archive:
         Raises:
             InputError: `search` names an unknown variable, or is not a valid effort.
         """
-        self.front, self.tried, self._progress, self.seed = front, 0, progress, seed
+        self.front, self.tried, self.progress, self.seed = front, 0, progress, seed
         program = front.program
         self._landscape = Landscape(program, front.neutral_parameters())
         self.vectorised = self._landscape.vectorised
@@ -179,16 +180,16 @@ class Archive:
         """
         landscape = FrontLandscape(self, p)
         judged = ranking_criterion(landscape, "tolerance")
-        explorer = Explorer(landscape, self._start, self.vary, judged, self._effort, self._progress, self.seed)
+        explorer = Explorer(landscape, self._start, self.vary, judged, self._effort, self.progress, self.seed)
         explored = explorer.explore()
         if not np.any(np.isfinite(explored.sample.merit)):
             none = f"none of {landscape.designs_tried} designs between the bounds has a value"
             raise NotConverged(f"{none}: tighten the bounds, or shorten the duration", "no value")
         if not np.any(explored.minima.feasible):
-            self._progress("looking for a design that meets the requirements", 0.0)
+            self.progress("looking for a design that meets the requirements", 0.0)
             return descend(landscape, feasible_from(landscape, explored, self._start))
         values = judged(explored.minima.points)
-        limit = values.min() + _CAN_WIN * abs(values.min())
+        limit = values.min() + _FOLLOWED * abs(values.min())
         best_first = np.argsort(values, kind="stable")
         return explored.minima.select([k for k in best_first if values[k] <= limit][:_MOST_BASINS])
 
@@ -217,7 +218,7 @@ class Archive:
             if np.any(np.isfinite(merits)):
                 best = points[np.argsort(merits, kind="stable")[: _DESIGNS_EACH * len(varied)]]
                 rng = np.random.default_rng([SEED + self.seed, number, 1])
-                end = evolved(merit, best, _GENERATIONS, rng, from_best=True, alike=_CONVERGED)
+                end = evolved(merit, best, _GENERATIONS, rng, from_best=True, alike=_ALIKE)
                 ends.append(whole(end[None])[0])
         return ends
 
@@ -299,7 +300,7 @@ NOT_WORSE = 1e-5
 _SAME_OBJECTIVES = 1e-6
 _SAME_DESIGN = 1e-4
 # Largest change of normalised objectives when an optimum is solved exactly; a larger one leads to another optimum.
-_SAME_OPTIMUM = 0.05
+_ANOTHER_OPTIMUM = 0.05
 # Limits of the ratio of two objectives' ranges that the weights of an anchor follow.
 _LEAST_RATIO, _LARGEST_RATIO = 1e-3, 1e3
 # Most rounds of sampling around the best designs, as long as each shows that the front misses something.
@@ -340,14 +341,9 @@ class Tracer(ABC):
     at_once: int
     comparisons: int
 
-    def __init__(self, archive: Archive, progress: Progress) -> None:
-        """Begin without a candidate.
-
-        Args:
-            archive: designs that the searches tried.
-            progress: called with what is being done and the fraction done.
-        """
-        self.archive, self.front, self.progress = archive, archive.front, progress
+    def __init__(self, archive: Archive) -> None:
+        """Begin without a candidate, beside an archive of the designs that the searches tried."""
+        self.archive, self.front, self.progress = archive, archive.front, archive.progress
         self.candidates: list[FrontCandidate] = []
         self.failures: list[MissingPoint] = []
         self.tried: set[bytes] = set()
@@ -466,7 +462,7 @@ class Tracer(ABC):
             point = self.front.solve(candidate.point, candidate.point.y, candidate.p, exact=True)
             objectives = self.front.objectives(point.y, exact=True)
             # Slopes by differences may stop in a flat valley that has no optimum; exact ones then lead far away.
-            near = np.max(np.abs(objectives - candidate.objectives)) < _SAME_OPTIMUM
+            near = np.max(np.abs(objectives - candidate.objectives)) < _ANOTHER_OPTIMUM
             if point.solved and near and np.all(objectives <= candidate.objectives + MATTERS):
                 candidate.point, candidate.exact, candidate.objectives = point, True, objectives
 

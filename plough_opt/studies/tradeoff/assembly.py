@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, whole_number
+from plough_opt.core.checks import check_kind, check_switch, check_text, mapping_of, whole_number
 from plough_opt.core.errors import Counted, InputError, NotConverged, count, counted, listed
 from plough_opt.core.expressions import Expression
 from plough_opt.core.plain_data import Array
@@ -19,7 +19,7 @@ from plough_opt.design.confirmation import curvatures_at
 from plough_opt.design.model.ipopt import Point
 from plough_opt.design.model.optimality import ZERO, decides
 from plough_opt.design.search.effort import Search
-from plough_opt.design.search.explore import silent
+from plough_opt.design.search.explore import notifier
 from plough_opt.motion.solvers.checks import remarks
 from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Tracer
 from plough_opt.studies.tradeoff.front import Axis, FrontCandidate, FrontPoint, Goal, Hole, MissingPoint
@@ -30,13 +30,13 @@ from plough_opt.studies.tradeoff.tracers import CurveTracer, SurfaceTracer
 # A hole is widened by this part of its size, so that a failure at one of its ends counts as inside.
 _HOLE_EDGE = 1e-3
 # Normalised objectives that differ by less are equal.
-_EQUAL = 1e-4
+_NO_WORSE = 1e-4
 # Relative range of all objectives below which they hardly conflict.
 _HARDLY = 0.02
 # Relative range of one objective below which its conflict is too small to act on.
-_SMALL = 1e-3
+_WEAK = 1e-3
 # Relative range below which it is rounding.
-_ROUNDING = 1e-8
+_NOT_IGNORED = 1e-8
 
 
 def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
@@ -110,7 +110,7 @@ def _failures(
     everywhere = tracer.objectives_of(tracer.candidates)
     for failure in tracer.failures:
         objectives = np.array(failure.objectives)
-        no_worse = np.all(everywhere <= objectives + _EQUAL, axis=1)
+        no_worse = np.all(everywhere <= objectives + _NO_WORSE, axis=1)
         if not np.any(no_worse & np.any(everywhere < objectives - MATTERS, axis=1)):
             missing.append(replace(failure, objectives=tuple((front.scaled(objectives) * front.units).tolist())))
     for candidate, point in certified.items():
@@ -232,7 +232,7 @@ def _conflict_notes(tracer: Tracer, goals: Sequence[Goal], points: Sequence[Fron
     if len(points) == 1:
         best = "both" if len(goals) == 2 else "all three"
         ignored = tracer.front.ignored_conflict
-        within = f", to within {100.0 * ignored:.2g} %" if ignored > _ROUNDING else ""
+        within = f", to within {100.0 * ignored:.2g} %" if ignored > _NOT_IGNORED else ""
         where = "" if tracer.archive.vary else " in the basin of the guess"
         return [f"{listed(names)} do not conflict{where}: one design is best in {best}{within}"]
     if np.max(ranges) < _HARDLY:
@@ -241,7 +241,7 @@ def _conflict_notes(tracer: Tracer, goals: Sequence[Goal], points: Sequence[Fron
     return [
         f"{name} hardly conflicts with the rest: along the whole front it changes by {100 * change:.2g} % of its value"
         for name, change in zip(names, ranges, strict=True)
-        if change < _SMALL
+        if change < _WEAK
     ]
 
 
@@ -276,10 +276,10 @@ _REFINEMENTS = 4
 # Relative change of an objective between the anchors below which it is rounding, and the objective conflicts with none.
 _NO_CONFLICT = 1e-5
 # That change is relative to the objective's size in scaled units, and at least to this.
-_LEAST_SIZE = 1e-3
+_LEAST_END = 1e-3
 # Least range of an objective where one design is best in all, in units of the objective's size at the guess. An
 # objective may be zero there.
-_LEAST_RANGE = 0.01
+_RANGE_OF_ONE = 0.01
 _NAMES = ("first objective", "second objective", "third objective")
 
 # For each design the program built last, with the expressions and options that it was built from.
@@ -354,16 +354,13 @@ def trade_off(
     check_switch("compiled", compiled)
     check_text("title", title)
     parameters = mapping_of("parameters", parameters, "name -> value")
-    if progress is not None:
-        check_callable("progress", progress, "of what is being done and the fraction done")
-    goals = _goals((first, second, *others))
-    notify = progress or silent
+    notify, goals = notifier(progress), _goals((first, second, *others))
     notify("building the model", 0.0)
     front = _built(design, goals, compiled)
     front.prepare(front.declared.parameter_values(parameters))
     building = time.perf_counter() - started
     kind = CurveTracer if len(goals) == 2 else SurfaceTracer
-    tracer = kind(Archive(front, search, notify, whole_number("seed", seed)), positions, notify)
+    tracer = kind(Archive(front, search, notify, whole_number("seed", seed)), positions)
     anchors = _anchors(front, tracer)
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:
@@ -377,7 +374,7 @@ def trade_off(
         number = next((k for k in range(len(anchors)) if k // (len(anchors) // len(goals)) not in idle), 0)
         best = anchors[number][0]
         sizes = np.abs(front.scaled(front.objectives(best.y)))
-        front.normalise(np.zeros(len(goals)), np.maximum(sizes, _LEAST_RANGE))
+        front.normalise(np.zeros(len(goals)), np.maximum(sizes, _RANGE_OF_ONE))
         tracer.recorded(best, tracer.anchor_parameters()[number])
     else:
         tracer.trace(anchors)
@@ -421,7 +418,7 @@ def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[
     """Normalise the objectives by the anchors, unless some are equally good at all anchors; return these."""
     ends = np.array([front.scaled(front.objectives(points[0].y)) for points in anchors])
     low, high = ends.min(axis=0), ends.max(axis=0)
-    change = (high - low) / np.maximum(_LEAST_SIZE, np.max(np.abs(ends), axis=0))
+    change = (high - low) / np.maximum(_LEAST_END, np.max(np.abs(ends), axis=0))
     front.ignored_conflict = float(np.max(change[change < _NO_CONFLICT], initial=0.0))
     idle = [int(k) for k in np.flatnonzero(change < _NO_CONFLICT)]
     if not idle:

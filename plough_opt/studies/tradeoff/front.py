@@ -31,7 +31,7 @@ ACROSS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
 """Two orthonormal directions across (1, 1, 1), as columns."""
 
 # Designs outside a triangle by no more than this part of its size lie on its side.
-_ROUNDING = 1e-12
+_ON_SIDE = 1e-12
 # Designs compared with a front at once, which bounds the memory that takes.
 _CHUNK = 20_000
 # A knee lies at least this far below the line, or the plane, through the best point of each objective.
@@ -187,7 +187,7 @@ def _depth_below_surface(front: Array, designs: Array, step: float) -> Array:
         pu, pv = u[first:last] - cu, v[first:last] - cv
         twice_area = (au - cu) * (bv - cv) - (bu - cu) * (av - cv)
         a, b = (pu * (bv - cv) - (bu - cu) * pv) / twice_area, ((au - cu) * pv - pu * (av - cv)) / twice_area
-        inside = np.flatnonzero((a >= -_ROUNDING) & (b >= -_ROUNDING) & (a + b <= 1.0 + _ROUNDING))
+        inside = np.flatnonzero((a >= -_ON_SIDE) & (b >= -_ON_SIDE) & (a + b <= 1.0 + _ON_SIDE))
         height = heights[k] @ np.array([a[inside], b[inside], 1.0 - a[inside] - b[inside]])
         depth[order[first + inside]] = height - mean[first + inside]
     return depth
@@ -238,8 +238,19 @@ _LARGEST_VIOLATION = 1e-6
 _LEAST_CURVATURE = -1e-6
 
 
+class Aimed:
+    """What is minimised, or maximised."""
+
+    maximise: bool
+
+    @property
+    def sign(self) -> float:
+        """1 for what is minimised, -1 for what is maximised."""
+        return -1.0 if self.maximise else 1.0
+
+
 @dataclass(frozen=True)
-class Goal:
+class Goal(Aimed):
     """One objective of a trade-off.
 
     Attributes:
@@ -270,14 +281,9 @@ class Goal:
             count = self.expression.numel()
             raise InputError(f"the objective '{self.name}' must be one number, not {count}: sum or average it")
 
-    @property
-    def sign(self) -> float:
-        """1 for what is minimised, -1 for what is maximised."""
-        return -1.0 if self.maximise else 1.0
-
 
 @dataclass(frozen=True)
-class Axis:
+class Axis(Aimed):
     """Objective or variable of a front, as reports and pictures need it.
 
     Attributes:
@@ -295,11 +301,6 @@ class Axis:
     log: bool = False
     lower: float | None = None
     upper: float | None = None
-
-    @property
-    def sign(self) -> float:
-        """1 for what is minimised, -1 for what is maximised."""
-        return -1.0 if self.maximise else 1.0
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, overload
@@ -14,10 +13,10 @@ import numpy as np
 
 from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InputError, listed
-from plough_opt.core.files import COLOURS, write_file, written
+from plough_opt.core.files import COLOURS, figure_of_size, written
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin, Saveable, versions
-from plough_opt.core.tables import Column, Grid, Page, data_frame, write_rows
+from plough_opt.core.tables import Column, Grid, Page, data_frame, write_table
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff.front import ACROSS, Axis, FrontPoint, Hole, MissingPoint, knee, volume
@@ -412,9 +411,7 @@ class TradeOff(Saveable):
             slopes = (point.rate_of(*pair) for pair in self.pairs)
             last = (*(point.margins[name] for name in margins), "; ".join(point.active), point.branch)
             table.append([status, part, *numbers, *slopes, *last, point.residual, point.gap])
-        text = StringIO()
-        write_rows(text, table)
-        return write_file(path, "table", text.getvalue())
+        return write_table(path, table)
 
 
 def _table(front: TradeOff, everywhere: Sequence[str]) -> Grid:
@@ -472,7 +469,7 @@ _LEAST_CHANGE: Final = 0.01
 # Most ticks of an axis, so that their numbers do not touch.
 _TICKS: Final = 6
 # Relative range of a variable along the front below which it is constant except for the optimiser's rounding.
-_CONSTANT: Final = 1e-4
+_UNCHANGED: Final = 1e-4
 # Triangles with a side longer than this many times the median lie across a hole.
 _LONGEST_SIDE: Final = 3.0
 _LEAST_CORNERS: Final = 3
@@ -488,17 +485,15 @@ _TICKS_IN_SPACE: Final = 5
 
 def front_figure(front: TradeOff) -> Figure:
     """Return a figure of the front, with panels for a third objective and for the variables that change along it."""
-    from matplotlib.figure import Figure
-
     varying = [v for v, values in zip(front.variables, front.designs.T, strict=True)
-               if np.ptp(values) > _CONSTANT * np.max(np.abs(values))]  # fmt: skip
+               if np.ptp(values) > _UNCHANGED * np.max(np.abs(values))]  # fmt: skip
     varying = varying or list(front.variables)
     flat = len(front.goals) == 2
     panels = [*front.goals[2:], *varying]
     columns = 1 if len(panels) <= 3 else 2
     rows = math.ceil(len(panels) / columns)
     width, height, least = _PANEL_SIZES[len(front.goals)]
-    figure = Figure(figsize=(_FRONT_WIDTH + width * columns, max(least, height * rows)), layout="constrained")
+    figure = figure_of_size(_FRONT_WIDTH + width * columns, max(least, height * rows))
     left, right = figure.subfigures(ncols=2, squeeze=False, width_ratios=(_FRONT_WIDTH, width * columns))[0]
     draw_front(left.add_subplot(projection=None if flat else "3d"), front)
     every = right.subplots(rows, columns, sharex=True, sharey=not flat, squeeze=False)

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from plough_opt.core.plain_data import Array
 from plough_opt.design.confirmation import minimum_from
 from plough_opt.design.model.ipopt import Point
-from plough_opt.design.search.explore import Progress
 from plough_opt.studies.tradeoff.archive import MATTERS, OTHERS_WEIGHT, SOUGHT, Archive, Tracer
 from plough_opt.studies.tradeoff.front import (
     Arrangement,
@@ -74,15 +73,9 @@ class CurveTracer(Tracer):
     matters = SOUGHT
     at_once, comparisons = 6, 12
 
-    def __init__(self, archive: Archive, positions: int, progress: Progress) -> None:
-        """Spread positions evenly between the anchors.
-
-        Args:
-            archive: designs that the searches tried.
-            positions: their number, the anchors included.
-            progress: called with what is being done and the fraction done.
-        """
-        super().__init__(archive, progress)
+    def __init__(self, archive: Archive, positions: int) -> None:
+        """Spread positions evenly between the anchors, which are two of their number."""
+        super().__init__(archive)
         self._positions = np.linspace(-1.0, 1.0, positions)
         self.step = 2.0 / (positions - 1)
         self.spacing = self.step / 2.0
@@ -346,15 +339,9 @@ class SurfaceTracer(Tracer):
     matters = 5e-3
     at_once, comparisons = 20, 4
 
-    def __init__(self, archive: Archive, count: int, progress: Progress) -> None:
-        """Lay a lattice over the triangle between the anchors.
-
-        Args:
-            archive: designs that the searches tried.
-            count: least number of nodes in the triangle.
-            progress: called with what is being done and the fraction done.
-        """
-        super().__init__(archive, progress)
+    def __init__(self, archive: Archive, count: int) -> None:
+        """Lay a lattice over the triangle between the anchors, with at least `count` nodes in the triangle."""
+        super().__init__(archive)
         self._count = count
         self._lattice = Lattice.with_nodes(count)
         self.step = 1.0 / self._lattice.steps

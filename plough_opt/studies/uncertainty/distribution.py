@@ -4,7 +4,6 @@ Marginals are those of scipy.stats, truncated, and correlated by a Gaussian copu
 design, so that averages over them are smooth functions of the design.
 """
 
-import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,6 +18,7 @@ from scipy.stats import qmc
 
 from plough_opt.core.checks import (
     NOT_NUMBERS,
+    array_of,
     check_callable,
     check_kind,
     check_named,
@@ -558,12 +558,10 @@ def _pair_of(name: str, ends: Any) -> tuple[float, float]:
 
 def _numbers(what: str, values: ArrayLike) -> Array:
     """Return a number or an array as an array; raise InputError for anything else, including NaN."""
-    array: Array | None = None
-    if not isinstance(values, str | bytes | bool | np.bool_ | None):
-        with contextlib.suppress(*NOT_NUMBERS):
-            array = np.asarray(values, dtype=float)
-    if array is None or np.any(np.isnan(array)):
-        raise InputError(f"{what} = {shown(values)} must be a number or an array of numbers")
+    refusal = f"{what} = {shown(values)} must be a number or an array of numbers"
+    array = array_of(values, refusal)
+    if isinstance(values, str | bytes | bool | np.bool_) or np.any(np.isnan(array)):
+        raise InputError(refusal)
     return array
 
 

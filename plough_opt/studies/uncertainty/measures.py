@@ -288,13 +288,9 @@ def _largest(column: Column, number: int) -> Column:
     while size < count:
         apart = size
         while apart:
-            lower = [
-                k
-                for first in range(apart % size, count - apart, 2 * apart)
-                for k in range(first, min(first + apart, count - apart))
-                if k // (2 * size) == (k + apart) // (2 * size)
-            ]
-            upper = [k + apart for k in lower]
+            k = np.arange(apart % size, count - apart)
+            compared = ((k - apart % size) // apart % 2 == 0) & (k // (2 * size) == (k + apart) // (2 * size))
+            lower, upper = k[compared].tolist(), (k[compared] + apart).tolist()
             smaller, larger = ca.fmin(values[lower], values[upper]), ca.fmax(values[lower], values[upper])
             values[lower], values[upper] = smaller, larger
             apart //= 2

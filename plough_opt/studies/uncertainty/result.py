@@ -24,7 +24,7 @@ from plough_opt.design import Optimum
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.studies.uncertainty.distribution import SoilDistribution
-from plough_opt.studies.uncertainty.robust import Check, Robust, Verification, in_words, varies
+from plough_opt.studies.uncertainty.robust import CONFIDENCE, Check, Robust, Verification, in_words, varies
 
 if TYPE_CHECKING:
     import pandas
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_CONFIDENCE = 0.95
 _RESAMPLES = 200
 
 
@@ -155,7 +154,7 @@ def sobol_indices(
 
     # The bootstrap of SciPy's own result has no seed.
     every = np.arange(samples)
-    ends = stats.bootstrap([every], indices, n_resamples=_RESAMPLES, confidence_level=_CONFIDENCE, vectorized=False,
+    ends = stats.bootstrap([every], indices, n_resamples=_RESAMPLES, confidence_level=CONFIDENCE, vectorized=False,
                            method="percentile", rng=generator).confidence_interval  # fmt: skip
     values = {"": indices(every), "_low": ends.low, "_high": ends.high}
     columns = {f"{kind}{side}": value[k] for side, value in values.items() for k, kind in enumerate(("first", "total"))}
@@ -311,19 +310,16 @@ class RobustOptimum(Saveable):
         Raises:
             InputError: pandas is not installed.
         """
-        names = [*self.best.variables]
-        columns = {"variable": names, "robust": [*self.best.variables.values()]}
-        frame = data_frame(columns | {"nominal": [self.nominal.variables[name] for name in names]}, {})
-        frame.attrs["units"] = {limit.name: limit.unit for limit in self.best.limits if limit.kind == "bound"}
-        return frame
+        robust, nominal = self.best.variables, self.nominal.variables
+        columns = {"variable": [*robust], "robust": [*robust.values()], "nominal": [nominal[name] for name in robust]}
+        units = {limit.name: limit.unit for limit in self.best.limits if limit.kind == "bound"}
+        return data_frame(columns, {}, units)
 
 
 def _soil_table(field: SoilDistribution, origin: Origin) -> Grid:
     """Return a table of the uncertain properties of a soil."""
-    table = Grid.of(
-        f"Uncertain soil: {field.soil.name}", "property", "nominal", "mean", "standard deviation", "correlated with",
-        left=("correlated with",),
-    )  # fmt: skip
+    headings = "property", "nominal", "mean", "standard deviation", "correlated with"
+    table = Grid.of(f"Uncertain soil: {field.soil.name}", *headings, left=headings[-1:])
     for name, (mean, spread) in field.moments.items():
         key = f"soil.{name}"
         values = (float(getattr(field.soil, name)), mean, spread)

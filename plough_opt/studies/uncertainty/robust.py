@@ -38,7 +38,7 @@ _MOST_ROUNDS = 6
 # Local optima within this part of the best objective are solved with their own widths: they may then become the best.
 _CAN_WIN = 0.02
 # Two designs count as the same if no variable differs by more than this part of its value.
-_SAME = 1e-3
+_SAME_VARIABLES = 1e-3
 # Tail of a distribution -> its worst value.
 _WORST: Mapping[Tail, Kind] = {"upper": "largest", "lower": "smallest"}
 
@@ -497,7 +497,7 @@ def best_robust(
 
 def _same(variables: Mapping[str, float], other: Mapping[str, float]) -> bool:
     """Return whether no variable of two designs differs by more than a small part of its value."""
-    return all(abs(x - other[name]) <= _SAME * abs(x) for name, x in variables.items())
+    return all(abs(x - other[name]) <= _SAME_VARIABLES * abs(x) for name, x in variables.items())
 
 
 SAMPLES = 4096
@@ -506,7 +506,7 @@ SEED = 20_000
 """Default seed of the fresh samples."""
 
 CONFIDENCE = 0.95
-_RESAMPLES = 500
+_REDRAWS = 500
 # Number of resamples that are evaluated together, which limits the memory.
 _BATCH = 50
 # Verification raises an error if a larger part of the fresh samples has no result.
@@ -724,7 +724,7 @@ def _bootstrap(requested: RequestedMeasure, values: Array, seed: int) -> tuple[f
         return float(np.min(values)), float(np.max(values))
     generator = np.random.default_rng([seed, 1])
     interval = stats.bootstrap(
-        (values,), requested.exact, n_resamples=_RESAMPLES, batch=_BATCH, vectorized=False, confidence_level=CONFIDENCE,
+        (values,), requested.exact, n_resamples=_REDRAWS, batch=_BATCH, vectorized=False, confidence_level=CONFIDENCE,
         method="percentile", rng=generator,
     ).confidence_interval  # fmt: skip
     return float(interval.low), float(interval.high)

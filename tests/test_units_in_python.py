@@ -65,8 +65,6 @@ def test_arrays_may_have_a_unit():
 test_invalid_quantities_are_refused = refusals(
     po.InputError,
     (lambda: scene_of(stiffness="50 kg"), '= "50 kg" has the wrong unit: expected a quantity in N/m, like "50 kN/m"'),
-    (lambda: scene_of(stiffness="fifty"), 'stiffness = "fifty" is not a quantity: write it like "50 kN/m"'),
-    (lambda: scene_of(stiffness="50"), 'stiffness = "50" has no unit: write it like "50 kN/m"'),
     (lambda: scene_of(stiffness=50 * U.kg), 'stiffness = "50 kilogram" has the wrong unit'),
 )
 

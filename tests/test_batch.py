@@ -443,15 +443,14 @@ def _operations():
     return ca.Function("operations", [v], [inner(v[0], v[1], v[2])])
 
 
-def test_operations_in_c_and_numpy(tmp_path, monkeypatch):
+def test_operations_in_c_and_numpy(tmp_path, monkeypatch, request):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     function = _operations()
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
     step = ca.Function("step", [x, p], [ca.vertcat(x[0] + 1.0, x[1] + x[0] / p[1])])
     engine = Engine({"operations": function}, [(step, 0)], 2)
     assert engine.compiled
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CC", raising=False)
+    request.getfixturevalue("no_compiler")
     plain = Engine({"operations": function}, [(step, 0)], 2)
     assert not plain.compiled
     random = np.random.default_rng(0)

@@ -51,12 +51,9 @@ def run(cp1252, tmp_path_factory):
 FILE = "mein Schar.toml"
 COMMANDS = {
     "check": ("check", FILE, "--effects"),
-    "optimum": ("optimise", FILE, "--search", "near", "--set", "scene.duration=0.2 s", "--plot", "Größe.png",
-                "-o", "Größe.json"),
-    "sweep": ("sweep", FILE, "--over", "share.height=0.2..0.3 m:2", "--workers", "2", "--csv", "Höhe.csv"),
     "c": ("export", FILE, "--to", "c", "-o", "Höhe in C"),
     "fmu": ("export", FILE, "--to", "fmu", "--sources", "-o", "Höhe.fmu"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -64,11 +61,15 @@ def test_a_command_works_in_cp1252_in_a_folder_with_blanks_and_umlauts(run, comm
     printed = run(*COMMANDS[command])
     assert printed
     for name in COMMANDS[command]:
-        if name.startswith(("Größe", "Höhe")):
+        if name.startswith("Höhe"):
             assert (run.folder / name).exists()
 
 
 def test_what_a_command_prints_and_writes_is_that_of_utf_8(run):
+    brief = ("--search", "near", "--set", "scene.duration=0.2 s")
+    assert run("optimise", FILE, *brief, "--plot", "Größe.png", "-o", "Größe.json")
+    assert run("sweep", FILE, "--over", "share.height=0.2..0.3 m:2", "--workers", "2", "--csv", "Höhe.csv")
+    assert (run.folder / "Größe.png").exists()
     loaded = po.load(run.folder / "Größe.json")
     problem = po.read_problem(run.folder / FILE, ["scene.duration=0.2 s"])
     assert problem.table.title.startswith("Größe ")

@@ -19,6 +19,7 @@ import pytest
 from helpers.commands import call
 from helpers.every_result import EVERY
 from helpers.problem_files import SUBSOILER
+from helpers.small_designs import design
 from rich.console import Console
 
 import plough_opt as po
@@ -181,12 +182,11 @@ def test_a_worker_of_a_sweep_keeps_one_processor_busy_and_the_sweep_leaves_no_tr
 def test_runs_of_a_design_use_the_available_processors(monkeypatch, r1_scene):
     asked = []
     monkeypatch.setattr("plough_opt.design.model.nlp.available", lambda: asked.append(1) or 1)
-    design = po.Design()
-    height = design.variable("height", guess=0.25, lower=0.1, upper=0.5)
+    d, height = design(height=(0.25, 0.1, 0.5))
     runs = [po.simulate(r1_scene(height=height, stiffness=k), 0.2) for k in (4e4, 5e4)]
-    design.minimise(sum(run.mean_draft for run in runs))
-    design.require("radius", r1_scene(height=height).loosened_radius, at_least=0.12)
-    design.solve(search="local")
+    d.minimise(sum(run.mean_draft for run in runs))
+    d.require("radius", r1_scene(height=height).loosened_radius, at_least=0.12)
+    d.solve(search="local")
     assert asked
 
 

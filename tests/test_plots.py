@@ -8,6 +8,7 @@ import matplotlib.pyplot
 import numpy as np
 import pytest
 from helpers.scenes import SHARP, scene_of
+from helpers.small_designs import design
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
@@ -32,11 +33,10 @@ def run(scene):
 @pytest.fixture(scope="module")
 def optimum(scene):
     """Return an optimum, with a scan over a log-scaled stiffness, and its run."""
-    design = po.Design()
-    stiffness = design.variable("mount", guess=5e4, lower=5e3, upper=5e5, unit="N/m", log=True)
+    d, stiffness = design(mount=(5e4, 5e3, 5e5, "N/m", True))
     found = po.simulate(dataclasses.replace(scene, stiffness=stiffness), 1.0, outputs=100)
-    design.minimise(found.mean_draft / 1e3 + found.force_rms / 1e3)
-    best = design.solve()
+    d.minimise(found.mean_draft / 1e3 + found.force_rms / 1e3)
+    best = d.solve()
     return best, best(found)
 
 

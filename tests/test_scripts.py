@@ -204,9 +204,10 @@ def test_the_motion_in_numpy_converges_to_the_orbit_with_order_4(frame, checks):
     assert checks.settled_averages(scene, 12, 64).mean_draft == pytest.approx(orbit.mean_draft, rel=1e-6)
 
 
-# --- the optimum ---
+# --- the optimum, whose solve takes longer than all other tests of this file ---
 
 
+@pytest.mark.thorough
 def test_the_optimum_is_certified(checks, solved):
     c, m, best = solved
     assert best.status == "solved"

@@ -15,6 +15,7 @@ import pint
 import pytest
 from helpers.refusals import refusals
 from helpers.scenes import SEROZEM, scene_of
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt import crosscheck
@@ -64,8 +65,6 @@ def test_arrays_may_have_a_unit():
 test_invalid_quantities_are_refused = refusals(
     po.InputError,
     (lambda: scene_of(stiffness="50 kg"), '= "50 kg" has the wrong unit: expected a quantity in N/m, like "50 kN/m"'),
-    (lambda: scene_of(stiffness="fifty"), 'stiffness = "fifty" is not a quantity: write it like "50 kN/m"'),
-    (lambda: scene_of(stiffness="50"), 'stiffness = "50" has no unit: write it like "50 kN/m"'),
     (lambda: scene_of(stiffness=50 * U.kg), 'stiffness = "50 kilogram" has the wrong unit'),
 )
 
@@ -345,9 +344,8 @@ def test_the_largest_numbers_are_accepted():
 
 def test_a_requirement_may_have_the_name_of_a_fronts_own_one():
     """Its margins are those of any other requirement."""
-    d = po.Design()
-    angle = d.variable("angle", guess=0.5, lower=0.3, upper=0.8, unit="rad")
-    scene = po.Scene(SOIL, po.Wedge(angle, 0.26, 0.25), 5e4, 45.0, 2.0, po.Effects(motion=False))
+    d, angle = design(angle=(0.5, 0.3, 0.8, "rad"))
+    scene = scene_of(share=po.Wedge(angle, 0.26, 0.25), mass=45.0, motion=False)
     d.require("position on the front", scene.cone.half_angle, at_most=0.3, unit="rad")
     draft = po.simulate(scene, 1.0).mean_draft
     front = po.trade_off(d, draft, po.Goal("r", scene.loosened_radius, maximise=True), points=5, search="local")

@@ -25,9 +25,6 @@ def off(found, wanted):
     return float(abs(mp.mpf(str(found)) - wanted))
 
 
-# --- numerics ---
-
-
 # --- closed forms ---
 
 

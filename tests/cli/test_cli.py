@@ -450,8 +450,6 @@ def test_a_command_imports_only_what_it_uses(tmp_path, monkeypatch, arguments, s
     assert not modules & left_alone
 
 
-# --- bad input of every command, and each format of `plough-opt export` from a problem file ---
-
 # --- bad input of every command: exit status 2, one sentence, nothing computed, nothing written ---
 
 # Command line in a folder with the shipped problem files, and what the message contains.

@@ -354,8 +354,9 @@ def test_workbooks_hold_numbers_as_numbers_and_no_formulas(static, tmp_path, mon
     found = pandas.read_excel(write_frame(path, frame))
     assert found.columns.tolist() == ["x [m]", "on", "n", "text"]
     assert found.fillna(-1.0).to_numpy().tolist() == [[1.5, True, 1, "'=1+1"], [-1.0, False, 2, "a"]]
+    every = lines(static, tmp_path)
     for name in ("tradeoff", "sweep", "check"):
-        printed(*lines(static, tmp_path)[name], "--csv", path)
+        printed(*every[name], "--csv", path)
         assert len(pandas.read_excel(path)) > 1, name
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     assert "pip install 'openpyxl'" in call("simulate", static, "--csv", path).said

@@ -14,6 +14,7 @@ from helpers import high_precision as hp
 from helpers.differences import differences
 from helpers.problem_files import PROBLEMS
 from helpers.refusals import refusals
+from helpers.small_designs import design
 from rich.console import Console
 from scipy.integrate import quad, solve_ivp
 
@@ -467,11 +468,10 @@ def test_symbols_and_arrays_give_numbers_and_exact_derivatives(draft, kind):
 
 def test_a_design_keeps_the_rupture_angle_inside_its_range():
     """A flatter rake reduces the draft until the factor at the end of the angles equals its minimum inside."""
-    design = po.Design()
-    rake = design.variable("rake", guess=po.deg(50.0), lower=po.deg(10.0), upper=po.deg(80.0), unit="rad")
+    d, rake = design(rake=("50 deg", "10 deg", "80 deg"))
     draft = mckyes_ali_draft(TILLED, Tine(0.08, 0.3, rake), 1.5)
-    design.minimise(draft / 1e3)
-    best = design.solve()
+    d.minimise(draft / 1e3)
+    best = d.solve()
     (name,) = best.active
     assert name.startswith("McKyes and Ali: least force of a wedge")
     tine = Tine(0.08, 0.3, best.variables["rake"])

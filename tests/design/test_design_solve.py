@@ -235,9 +235,8 @@ def test_optima_known_in_closed_form(variables, objective, required, wanted, lea
 
 def _least_squares(a, b):
     """Return the optimum of 1 + |a x - b|^2 for x between 0 and 1, by a design, and its objective by SciPy."""
-    d = po.Design()
-    x = ca.vertcat(*(d.variable(f"x{k}", guess=0.5, lower=0.0, upper=1.0) for k in range(3)))
-    d.minimise(1.0 + ca.sumsqr(ca.mtimes(ca.DM(a), x) - ca.DM(b)))
+    d, *x = design(**dict.fromkeys("xyz", (0.5, 0.0, 1.0)))
+    d.minimise(1.0 + ca.sumsqr(ca.mtimes(ca.DM(a), ca.vertcat(*x)) - ca.DM(b)))
     return d.solve(), 1.0 + 2.0 * lsq_linear(a, b, (0.0, 1.0), tol=1e-14).cost
 
 
@@ -610,8 +609,7 @@ def test_options_reach_ipopt(over, capfd):
 
 def test_an_unconfirmed_design_names_the_options_that_may_have_stopped_ipopt():
     """Two kinks close to each other, which no derivative confirms."""
-    d = po.Design()
-    x = d.variable("x", guess=0.3, lower=0.0, upper=1.0)
+    d, x = design(x=(0.3, 0.0, 1.0))
     d.minimise(1.0 + ca.fabs(x - 0.37) + 0.1 * ca.fabs(x - 0.371))
     plain, stopped = (" ".join(d.solve(**options).warnings) for options in ({}, {"ipopt": {"max_iter": 1}}))
     assert "did not confirm" in plain

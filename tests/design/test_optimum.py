@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.differences import order_4
+from helpers.every_result import EVERY
 from helpers.problem_files import SUBSOILER
 from helpers.small_designs import design, sticking
 
@@ -62,9 +63,6 @@ def test_variables_may_have_the_names_of_columns():
     )
     assert frame.attrs["units"] == {"variable objective": "m", "variable optimum": ""}
     assert [one["kind"] for one in best.origin.declarations.values()] == ["variable", "variable", "objective"]
-
-
-# --- an expression, a run ---------------------------------------------------------------------------------
 
 
 # --- parameters ---------------------------------------------------------------------------------------------
@@ -260,25 +258,9 @@ def test_a_copy_keeps_the_design_and_a_pickle_leaves_it_out():
             refused()
 
 
-def _results():
-    """Return results of every kind that a design or a run gives."""
-    d, run = _spring()
-    best = d.solve(search=16)
-    front = po.trade_off(d, run.mean_draft / 1e3, run.force_rms / 1e3, points=5, search="near")
-    still = po.simulate(best(run.scene), 0.1, outputs=2)
-    return [
-        best,
-        best.local_optima[0],
-        best.rounded(height=[0.23]),
-        best.search,
-        front,
-        still,
-        po.Machine({"a": still}),
-    ]
-
-
 def test_results_are_equal_if_their_numbers_are(tmp_path):
-    first = _results()
+    names = ("Optimum", "LocalOptimum", "Rounded", "TradeOff", "Run", "Machine")
+    first = [*(EVERY[name]() for name in names), EVERY["Optimum"]().search]
     for number, one in enumerate(first):
         assert one == copy.deepcopy(one) == pickle.loads(pickle.dumps(one))
         assert hash(one) == hash(copy.deepcopy(one))
@@ -286,7 +268,7 @@ def test_results_are_equal_if_their_numbers_are(tmp_path):
         assert one != "a text"
         if hasattr(one, "save"):
             assert po.load(one.save(tmp_path / f"{number}.json")) == one
-    best, other = first[0], first[2]
+    best, _, other, *_ = first
     assert dataclasses.replace(best, objective=best.objective * (1.0 + 1e-15)) != best
     assert best.search != dataclasses.replace(best.search, values=best.search.values + 1e-12)
     assert best.search == dataclasses.replace(best.search, values=best.search.values.copy())

@@ -76,7 +76,7 @@ def test_ripples_over_a_small_feasible_region_are_searched_in_every_way(seed):
 
 @pytest.mark.parametrize(("search", "most", "basin"), [("near", 1.0, 2), ("local", 1.0, 2), ("near", 0.7, 1)])
 def test_a_near_search_stays_in_the_basin_of_its_guess_or_of_the_nearest_feasible_design(waves, search, most, basin):
-    waves.require("most", waves._variables[0].symbol, at_most=most)
+    waves.require("most", waves.declared.variables[0].symbol, at_most=most)
     best = waves.solve(search=search)
     # The guess lies beyond the last barrier, where the objective falls towards the third minimum. At 0.7 it falls
     # towards the second.
@@ -98,7 +98,7 @@ REGIONS = [
 
 @pytest.mark.parametrize(("either", "x", "y"), REGIONS)
 def test_of_two_feasible_regions_a_near_search_takes_the_nearest(waves, either, x, y):
-    waves.require("either", either(*(v.symbol for v in waves._variables)), at_most=0.0)
+    waves.require("either", either(*(v.symbol for v in waves.declared.variables)), at_most=0.0)
     assert waves.solve(search="near").variables == pytest.approx({"x": x, "y": y}, abs=2e-5)
 
 

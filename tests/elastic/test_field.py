@@ -459,8 +459,6 @@ test_points_off_the_face_and_impossible_motions_are_refused = refusals(
 )
 
 
-# --- the elastic medium against other solutions: closed forms, limits, and Fourier integrals ---
-
 # --- the source's Fourier integrals against the closed forms, and knots on smooth profiles against both ---
 
 LENGTH, HALF_THICKNESS = 0.5, 0.05

@@ -309,9 +309,8 @@ def test_a_conflict_at_the_edge_of_the_tolerance_is_refused_or_within_it(lack):
 @pytest.mark.parametrize("log", [False, True], ids=["linear", "log"])
 @pytest.mark.parametrize("width", [1e-6, 1e-10, 2.3e-16])
 def test_a_variable_between_bounds_that_nearly_touch(width, log):
-    d = po.Design()
-    angle = d.variable("wedge angle", guess=0.4, lower=0.1, upper=1.0)
-    height = d.variable("height", guess=0.25, lower=0.25, upper=0.25 * (1.0 + width), log=log)
+    narrow = (0.25, 0.25, 0.25 * (1.0 + width), "", log)
+    d, angle, height = design(**{"wedge angle": (0.4, 0.1, 1.0)}, height=narrow)
     share = po.Wedge(angle, CHISEL, height)
     run = po.simulate(po.Scene(R1_SOIL, share, 5e4, 24.0, SPEED, po.Effects(motion=False)), 1.0)
     d.minimise(run.mean_draft / 1e3)
@@ -342,10 +341,8 @@ def test_a_variable_between_bounds_that_nearly_touch(width, log):
 
 @pytest.mark.parametrize("log", [False, True], ids=["linear", "log"])
 def test_variables_eighteen_orders_of_magnitude_apart(log):
-    d = po.Design()
-    k0 = d.variable("stiffness", guess=5e11, lower=1e10, upper=1e12, unit="N/m", log=log)
-    play = d.variable("play", guess=5e-7, lower=1e-8, upper=1e-6, unit="m", log=log)
-    height = d.variable("height", guess=0.3, lower=0.1, upper=0.5, unit="m")
+    mount = {"stiffness": (5e11, 1e10, 1e12, "N/m", log), "play": (5e-7, 1e-8, 1e-6, "m", log)}
+    d, k0, play, height = design(**mount, height=(0.3, 0.1, 0.5, "m"))
     share = po.Wedge(0.4, CHISEL, height)
     run = po.simulate(po.Scene(R1_SOIL, share, k0, 24.0, SPEED, po.Effects(motion=False)), 1.0)
     d.minimise(run.mean_draft / 1e3 + k0 / 1e12 + 1e-7 / play)

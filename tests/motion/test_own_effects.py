@@ -14,6 +14,7 @@ from helpers.linear_motion import oscillation
 from helpers.problem_files import SUBSOILER
 from helpers.refusals import refusals
 from helpers.scenes import SEROZEM, Own, Shank, scene_of
+from helpers.small_designs import design
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
@@ -175,8 +176,7 @@ class Looked(Shank):
 
 @pytest.mark.parametrize("kind", [Shank, Looked])
 def test_a_design_varies_and_rebuilds_it(kind):
-    d = po.Design()
-    viscous = d.variable("viscous", guess=400.0, lower=10.0, upper=2000.0, unit="N s/m")
+    d, viscous = design(viscous=(400.0, 10.0, 2000.0, "N s/m"))
 
     def objective(value):
         run = po.simulate(scene_of(own=(kind(0.0, value),), strength_wave=WAVE), 1.0)
@@ -414,10 +414,9 @@ def test_problem_file_refuses_anything_else(medium, message):
 
 def test_a_redefined_class_is_another_law():
     def solve(kind):
-        design = po.Design()
-        force = design.variable("force", guess=2e3, lower=1e3, upper=5e3, unit="N")
-        design.minimise(po.simulate(scene(kind(force)), 0.2).mean_draft)
-        return design.solve()
+        d, force = design(force=(2e3, 1e3, 5e3, "N"))
+        d.minimise(po.simulate(scene(kind(force)), 0.2).mean_draft)
+        return d.solve()
 
     assert solve(limited(1e9)).variables["force"] == pytest.approx(1e3)
     with pytest.raises(po.DomainError, match=r"upper bound of 'force'.*force = 5000 N"):
@@ -470,13 +469,11 @@ def by_component(law, row):
 
 
 def by_design(law, row):
-    design = po.Design()
-    symbols = [
-        design.variable(name, guess=v, lower=v - 1e-9 * abs(v), upper=v + 1e-9 * abs(v), unit=unit)
-        for (name, (unit, *_)), v in zip(RANGES.items(), row.tolist(), strict=True)
-    ]
-    design.minimise(po.simulate(drawn_scene(law, *symbols, motion=False), 0.1).mean_draft / 1e3)
-    return 1e3 * design.solve(search="near", judge="bare").objective
+    sizes = zip(RANGES.items(), row.tolist(), strict=True)
+    near = {name: (v, v - 1e-9 * abs(v), v + 1e-9 * abs(v), unit) for (name, (unit, *_)), v in sizes}
+    d, *symbols = design(**near)
+    d.minimise(po.simulate(drawn_scene(law, *symbols, motion=False), 0.1).mean_draft / 1e3)
+    return 1e3 * d.solve(search="near", judge="bare").objective
 
 
 # The graph of the elastic medium takes seconds to build.
@@ -527,11 +524,9 @@ def test_an_optimum_at_the_edge_of_a_domain_is_exact_and_names_it(motion):
     def of(wedge, chisel):
         return scene_of(share=po.Wedge(wedge, chisel, 0.25), medium="universal_earthmoving", motion=motion)
 
-    design = po.Design()
-    wedge = design.variable("wedge", guess=po.deg(30), lower=po.deg(10), upper=po.deg(50), unit="rad")
-    chisel = design.variable("chisel", guess=po.deg(35), lower=po.deg(5), upper=po.deg(60), unit="rad")
-    design.minimise(po.simulate(of(wedge, chisel), 0.2).mean_draft / 1e3)
-    best = design.solve(judge="bare")
+    d, wedge, chisel = design(wedge=("30 deg", "10 deg", "50 deg"), chisel=("35 deg", "5 deg", "60 deg"))
+    d.minimise(po.simulate(of(wedge, chisel), 0.2).mean_draft / 1e3)
+    best = d.solve(judge="bare")
     assert best.status == "solved"
     assert best.active == ("the universal earthmoving equation: depth over width",)
     again = po.simulate(of(best.variables["wedge"], best.variables["chisel"]), 0.2)

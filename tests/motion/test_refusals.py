@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from helpers.forces import SLIP, Forces
 from helpers.scenes import SEROZEM, SHARE, Own, Waves, scene_of
+from helpers.small_designs import design
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
@@ -261,11 +262,10 @@ def test_a_design_refuses_an_orbit_that_its_scene_or_a_bound_cannot_have(orbit):
         ("at the upper bound of 'stiffness': the periodic orbit of", 1e9,
          {"tow_speed": 0.5, "strength_wave": po.StrengthWave(0.3, 4.0)}),
     ):  # fmt: skip
-        design = po.Design()
-        stiffness = design.variable("stiffness", guess=5e4, lower=4e4, upper=upper)
-        design.minimise(po.simulate(scene_of(stiffness=stiffness, orbit=orbit, **changes)).force_rms)
+        d, stiffness = design(stiffness=(5e4, 4e4, upper))
+        d.minimise(po.simulate(scene_of(stiffness=stiffness, orbit=orbit, **changes)).force_rms)
         with pytest.raises(po.PloughError, match=words):
-            design.solve()
+            d.solve()
 
 
 def test_a_symbolic_run_refuses_what_it_lacks():

@@ -11,6 +11,7 @@ from helpers.differences import differences, order_4
 from helpers.forces import Forces
 from helpers.linear_motion import released
 from helpers.scenes import BLUNT, R1_SOIL, SHARP, Shank, scene_of
+from helpers.small_designs import design
 from scipy.integrate import quad
 
 import plough_opt as po
@@ -430,8 +431,7 @@ def test_a_design_finds_what_brute_force_finds(contact):
         run = po.simulate(scene_of(R1_SOIL, SHARP, stiffness, 24.0, 1.0, **effects), 1.0, outputs=10)
         return (run.mean_draft + run.force_rms) / 1e3
 
-    d = po.Design()
-    k0 = d.variable("stiffness", guess=1.5e4, lower=5e3, upper=5e4, unit="N/m", log=True)
+    d, k0 = design(stiffness=(1.5e4, 5e3, 5e4, "N/m", True))
     d.minimise(cost(k0))
     best = d.solve()
     found = cost(best(k0))

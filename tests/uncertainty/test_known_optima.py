@@ -149,10 +149,7 @@ def _program(d):
 
 def _path(count):
     """Return the program of averages over soils, of the path in one of them, and of a run of another structure."""
-    d = po.Design()
-    angle = d.variable("wedge angle", guess=0.5, lower=0.2, upper=0.9)
-    height = d.variable("height", guess=0.25, lower=0.10, upper=0.40)
-    k0 = d.variable("stiffness", guess=2e4, lower=5e3, upper=1e5, log=True)
+    d, angle, height, k0 = design(angle=(0.5, 0.2, 0.9), height=(0.25, 0.1, 0.4), stiffness=(2e4, 5e3, 1e5, "", True))
     share = po.Wedge(angle, po.deg(15.0), height)
     effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.6))
     runs = []

@@ -69,11 +69,11 @@ class InputError(PloughError, ValueError):
 
 
 class about:  # noqa: N801 (a context)
-    """Say in front of the message of an InputError inside this context what it is about; a DomainError may become one.
+    """Put what an error is about in front of the message of any InputError that is raised inside.
 
     Args:
         what: the first words of the message, such as "'lower'".
-        kind: errors that are meant, which become InputError.
+        kind: errors that are meant, if others than InputErrors; they become InputErrors.
     """
 
     def __init__(self, what: str, kind: type[PloughError] = InputError) -> None:

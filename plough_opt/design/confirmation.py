@@ -196,7 +196,7 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
 def curvatures_at(
     program: Program, p: Vector, at: Point, rows: tuple[Vector, Vector] | None = None
 ) -> tuple[Vector, Vector]:
-    """Return the curvatures along the active limits, relative to the largest and ascending, and their directions.
+    """Return the curvatures along the active limits, relative to the Hessian's size, ascending, and their directions.
 
     The directions are columns.
 
@@ -226,7 +226,7 @@ def _free(program: Program, p: Vector, at: Point, rows: tuple[Vector, Vector] | 
     return free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
 
 
-# Curvatures above this, relative to the largest, are positive: difference quotients are right to 1e-4.
+# Curvatures above this, relative to the Hessian's size, are positive: difference quotients are right to 1e-4.
 _CLEAR = 1e-2
 
 

@@ -68,7 +68,7 @@ class ToleranceBoxSolver:
         n, self._count = len(self._own.variables), designs_per_box(self._own)
         self._unit = np.vstack([unit_box(n)[: self._count], corners(n, self._count)])
         self._every = tuple(range(len(self._unit)))
-        # The last program, with the parameters, the bounds of the worst objective and the positions it was built for.
+        # (Parameters, bounds of the worst objective, positions) -> the last program that was built.
         self._built: dict[Hashable, Program] = {}
 
     def solve(self, request: Request) -> Optimum:

@@ -587,3 +587,12 @@ def test_the_nearest_design_of_an_infeasible_question_has_a_value(search):
     # A descent stops next to the place where the values end.
     with pytest.raises(po.InfeasibleDesign, match=r"'left'.*fails by 0\.20*\d{0,3}; no variable of this design"):
         d.solve(search=search)
+
+
+@pytest.mark.parametrize("slope", [1.0, 0.01, 1e-4])
+def test_every_bound_in_conflict_is_named_however_little_it_helps(slope):
+    d, x, y = design(x=(0.5, 0.0, 1.0), y=(0.5, 0.0, 1.0))
+    d.minimise(x + y)
+    d.require("sum", 1.0 + x + slope * y * y, at_least=4.0)
+    with pytest.raises(po.InfeasibleDesign, match="upper bound 1 of 'x' and upper bound 1 of 'y'"):
+        d.solve()

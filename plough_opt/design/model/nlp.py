@@ -338,7 +338,7 @@ class RunGroup:
 
 
 MANY_RUNS = 16
-"""Runs in a group from which on the half second that a compiler takes for their jets soon pays."""
+"""Least number of runs in a group for which compiling their jets, which takes half a second, soon pays."""
 
 
 def grouped_runs(

@@ -21,7 +21,7 @@ class Zero(NamedTuple):
     margin: float = 1e-7  # of a limit, which then is active
     # Of the curvature along a direction, as a part of the largest: the optimum may then have no derivative.
     curvature: float = 1e-7
-    distance: float = 1e-9  # of a variable from its bound, on which it then lies
+    distance: float = 1e-9  # between a variable and its bound; closer, it counts as on it
     # Of a singular value, relative to the largest or of rows of length 1, which then are linearly dependent.
     rank: float = 1e-9
 

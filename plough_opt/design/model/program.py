@@ -172,7 +172,7 @@ class Program:
         Args:
             declared: the declarations.
             compiled: whether to translate the program into machine code.
-            many_slopes: whether so many slopes will be taken that machine code for those of single runs soon pays.
+            many_slopes: whether enough slopes will be taken for machine code to pay even for single runs.
             bare: if this program covers the tolerance box around a design, the program of the design alone.
             over: a sentence on the objective over that box, for reports.
             ipopt: options of IPOPT that the user gave, with the prefix of CasADi.

@@ -1,9 +1,9 @@
 /* Evaluates a Function for n designs, WIDE of them at a time, by reading its list of operations. An operation is four
    numbers: its code, the register of its result, and the registers of its operands. For an argument of the Function the
-   last two are its number and a place in it; so they are for a result, whose register comes second; for a constant the
-   third one is its number. `arrays` are the arguments and then the results, with a row for each design, and `sizes` the
+   last two are its number and a place in it. A result has the register of its value second, then its number and the
+   place in it; a constant has its number third. `arrays` are the arguments and then the results, with a row for each design, and `sizes` the
    lengths of their rows. `memory` has room for WIDE numbers in each register, and for one vector more. */
-#define WIDE 16
+#define WIDE ${wide}
 #define PARTS (WIDE / LANES)
 #define OF_PARTS(VALUE) for (int k = 0; k < PARTS; k++) r[k] = VALUE; break;
 void rows(int64_t n, int64_t count, const int32_t *operations, const double *constants, const int64_t *sizes,

@@ -1,6 +1,7 @@
 """Evaluation of a CasADi Function at many designs at once."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from ctypes import CDLL, c_int64, c_void_p
 from functools import lru_cache
 from string import Template
@@ -10,12 +11,13 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.compiler import instructions, library, operations, variants
+from plough_opt.core.errors import InputError
 from plough_opt.core.files import text_of
 from plough_opt.core.plain_data import Array
 
 # Numbers in a register of `rows.c`, and in the widest vector of a processor.
 _WIDE, _WIDEST = 16, 8
-# Numbers of designs whose maps are kept, because a map takes long to build.
+# Maps that are kept: building one takes about as long as a call of it.
 _MAPS = 32
 
 
@@ -23,8 +25,8 @@ class RowFunction:
     """A Function of dense columns, evaluated at many designs at once; arguments and results have a row for each.
 
     A library reads the list of a Function's scalar operations and executes each for 16 designs at a time. CasADi's
-    `map` takes several times as long. It evaluates Functions that are not in scalar operations, and all of them without
-    a compiler.
+    `map`, which takes several times as long, replaces it without a compiler, and for Functions that are not in scalar
+    operations or contain one that the library lacks.
 
     Attributes:
         function: the Function.
@@ -48,18 +50,19 @@ class RowFunction:
         rows, constants = _listed(self.function)
         if not {code for code, *_ in rows} <= _CODES:
             return None
-        sizes = [*self._sizes_in, *self._sizes_out]
-        # Kept as long as their addresses are used.
-        self._program = np.array(rows, dtype=np.int32), np.array(constants), np.array(sizes)
-        listed, places = [array.ctypes.data for array in self._program], c_void_p * len(sizes)
-        room = _WIDE * self.function.sz_w() + _WIDEST
+        results = self._sizes_out
+        sizes = np.array([*self._sizes_in, *results], dtype=np.int64)
+        program = np.array(rows, dtype=np.int32), np.array(constants), sizes
+        room, places = _WIDE * self.function.sz_w() + _WIDEST, c_void_p * len(sizes)
 
         def call(arguments: list[Array]) -> list[Array]:
             count, memory = len(arguments[0]), np.empty(room)
-            results = [np.empty((count, size)) for size in self._sizes_out]
-            at = places(*[array.ctypes.data for array in (*arguments, *results)])
+            assert [one.shape for one in arguments] == [(count, size) for size in sizes[: len(arguments)]]
+            found = [np.empty((count, size)) for size in results]
+            listed = [array.ctypes.data for array in program]
+            at = places(*[array.ctypes.data for array in (*arguments, *found)])
             evaluate(count, len(rows), *listed, len(arguments), at, memory.ctypes.data)
-            return results
+            return found
 
         return call
 
@@ -92,12 +95,14 @@ def _listed(function: ca.Function) -> tuple[list[tuple[int, int, int, int]], lis
 
 @lru_cache(maxsize=1)
 def _library() -> Any:
-    """Return the function of `rows.c`, or None without a compiler."""
+    """Return the function of `rows.c`, or None without a compiler or if ``$CC`` is not a command."""
     cases = "\n".join(f"        case {code}: OF_PARTS({result})" for code, result in operations("a[k]", "b[k]"))
     own = Template(text_of(__package__, "rows.c")).substitute(
-        input=ca.OP_INPUT, output=ca.OP_OUTPUT, constant=ca.OP_CONST, cases=cases
+        wide=_WIDE, input=ca.OP_INPUT, output=ca.OP_OUTPUT, constant=ca.OP_CONST, cases=cases
     )
-    path = library(text_of("plough_opt.core", "vectors.c") + own, variants("-O2"), ("rows",))
+    path = None
+    with suppress(InputError):
+        path = library(text_of("plough_opt.core", "vectors.c") + own, variants("-O2"), ("rows",))
     if path is None:
         return None
     evaluate = CDLL(str(path)).rows

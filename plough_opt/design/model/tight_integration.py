@@ -203,7 +203,7 @@ class TightEvaluation:
 
 
 def _keep_limits(template: Any, check: Callable[[Any], object], quantities: Vector) -> bool:
-    """Return whether objects that differ only in numbers keep every limit, as arrays tell of all of them at once.
+    """Return whether objects that differ only in numbers keep every limit; all are checked at once, as arrays.
 
     False also if one of their classes takes no arrays.
 
@@ -332,7 +332,7 @@ def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> N
 
 
 class Steps(NamedTuple):
-    """Bounds of the numbers of integration steps, and of what takes their place for orbits."""
+    """Bounds of the numbers of integration steps, and the number of harmonics that replaces it for orbits."""
 
     # With the rate by `Rates.summed` [rad]. It leaves a relative error of about 3e-9 in averages; the check at the
     # optimum demands finer steps if that is not enough.

@@ -157,7 +157,7 @@ class Solved:
             point: the optimum.
             fixed: number -> value of the variables that are held.
             rounder: (this object, catalogues) -> the optimum with some variables rounded.
-            whole: returns the same optimum with all that may begin to decide, if the program leaves some of it out.
+            whole: returns the same optimum with every limit that may begin to decide, if the program leaves some out.
         """
         self.program, self.p, self.point, self.rounder, self._solve_whole = program, p, point, rounder, whole
         self._fixed = tuple(fixed)
@@ -174,7 +174,7 @@ class Solved:
 
     @property
     def whole(self) -> Solved:
-        """The same optimum with all that may begin to decide: for sensitivities and rounded variables."""
+        """The same optimum with every limit that may begin to decide: for sensitivities and rounded variables."""
         return self if self._solve_whole is None else self._solve_whole()
 
     def evaluate(self, expression: ca.MX) -> Vector:

@@ -117,7 +117,7 @@ class TimeLimit:
         return late
 
     def warnings(self, rest: str) -> tuple[str, ...]:
-        """Return a sentence on what was left out, if anything was; ``rest`` of it has {} in place of the parts."""
+        """Return a sentence on what was left out, if anything was; ``rest`` is its end, with {} for the parts."""
         if not self.left_out:
             return ()
         return (f"after {AUTO_SECONDS:g} s of processor time {rest.format(listed([*self.left_out]))}",)

@@ -40,9 +40,8 @@ Progress = Callable[[str, float], None]
 class _Round(NamedTuple):
     """Bounds of the parts of a round that the effort does not set."""
 
-    # Designs between two looks at the clock: side by side, and one by one, which takes half a minute if they take long.
-    block: int = 2048
-    one_by_one: int = 32
+    block: int = 2048  # designs between two looks at the clock if they are integrated side by side
+    one_by_one: int = 32  # the same if they are integrated one by one, which can take half a minute
     infeasible_starts: int = 4  # of descents where feasible designs are rare
     converged: float = 1e-7  # An island has converged when its merits scatter by less than this fraction.
     most_followed: int = 256  # points of the uniform part of a sample, to basins that may be known already
@@ -77,7 +76,7 @@ def silent(_stage: str, _fraction: float) -> None:
 
 
 def notifier(progress: Progress | None) -> Progress:
-    """Return a callback of progress after a check; `silent` for None."""
+    """Check a callback of progress and return it, or `silent` for None."""
     if progress is None:
         return silent
     check_callable("progress", progress, "of what is being done and the fraction done")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.optimality import difference_quotients
+from plough_opt.design.model.population import LinearVariable
 from plough_opt.design.model.program import Program
 
 FINER = 2.0
@@ -127,7 +129,6 @@ class Landscape:
         dimensions: number of variables.
         objective_scale: of the objective. It stays the same if the program is rescaled later.
         vectorised: whether all runs of many designs are integrated together.
-        eliminated: variables that are solved for, given the others, instead of being searched.
         designs_tried: number of designs evaluated so far.
     """
 
@@ -138,8 +139,12 @@ class Landscape:
         self._scale = np.array(program.scales)[np.array(program.owner, dtype=int)]
         self.objective_scale = program.objective_scale
         self.vectorised = program.population.vectorised
-        self.eliminated = [one for one in program.linear_variables(p) if one.number not in held]
         self.designs_tried = 0
+
+    @cached_property
+    def eliminated(self) -> list[LinearVariable]:
+        """Variables that are solved for, given the others, instead of being searched."""
+        return [one for one in self.program.linear_variables(self.p) if one.number not in self.held]
 
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return the scaled objective and requirements, a row for each design.

@@ -9,7 +9,6 @@ import numpy as np
 from plough_opt.core.errors import InfeasibleDesign
 from plough_opt.core.units import in_words
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.model.optimality import without_rounding
 from plough_opt.design.model.program import Program, with_sure_steps
 from plough_opt.design.search.effort import effort_of
 from plough_opt.design.search.explore import Explored, Explorer
@@ -152,6 +151,8 @@ class _LeastViolation(NamedTuple):
 
     violated: float = 1e-7  # A smaller violation, in units of the limit, is rounding.
     holds: float = 1e-6  # A limit with a smaller scaled multiplier does not hold the design back.
+    # IPOPT keeps a variable away from a bound by 1e-11 over its multiplier.
+    near_bound: float = 1e-5
     starts: int = 8  # designs of the sample from which the least violation is searched
     distance: float = 0.1  # smallest one between these, as a fraction of the range
     most_polished: int = 3  # designs that go on to IPOPT
@@ -275,9 +276,10 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
         for r, largest in zip(declared.requirements, multipliers, strict=True)
         if largest > _LEAST.holds and not r.auxiliary and r.name not in conflicts
     ]
-    # A box around the point may have held it, too.
-    for variable, multiplier in zip(declared.variables, without_rounding(point.y, point.lam_y), strict=True):
-        if abs(multiplier) > _LEAST.holds and not variable.auxiliary:
+    for variable, y, multiplier in zip(declared.variables, point.y, point.lam_y, strict=True):
+        # A box around the point may have held it instead.
+        at_bound = min(y, 1.0 - y) < _LEAST.near_bound
+        if abs(multiplier) > _LEAST.holds and at_bound and not variable.auxiliary:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)

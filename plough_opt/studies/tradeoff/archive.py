@@ -342,7 +342,7 @@ class Tracer(ABC):
     comparisons: int
 
     def __init__(self, archive: Archive) -> None:
-        """Begin without a candidate, beside an archive of the designs that the searches tried."""
+        """Begin without candidates, with an archive of the designs that the searches tried."""
         self.archive, self.front, self.progress = archive, archive.front, archive.progress
         self.candidates: list[FrontCandidate] = []
         self.failures: list[MissingPoint] = []

@@ -74,7 +74,7 @@ class CurveTracer(Tracer):
     at_once, comparisons = 6, 12
 
     def __init__(self, archive: Archive, positions: int) -> None:
-        """Spread positions evenly between the anchors, which are two of their number."""
+        """Spread this many positions evenly, the two anchors included."""
         super().__init__(archive)
         self._positions = np.linspace(-1.0, 1.0, positions)
         self.step = 2.0 / (positions - 1)

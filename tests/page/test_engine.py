@@ -113,13 +113,16 @@ def assert_equal(problem, rows, runs, results):
     assert compared > DESIGNS // 2
 
 
-# What these have alone, the other scenes have beside something else.
-COMBINED = {"from rest", "towed", "ramp", "ramp from equilibrium", "whole waves", "stick and slip"}
+# These run with the thorough tests: what most of them have alone, the other scenes have beside something else.
+LATER = {
+    "from rest", "towed", "ramp", "ramp from equilibrium", "whole waves", "stick and slip", "quasi-static ramp",
+    "a compression test", "a result of the file",
+}  # fmt: skip
 
 
 @needs_node
 @pytest.mark.parametrize(
-    "scene", [pytest.param(name, marks=[pytest.mark.thorough] * (name in COMBINED)) for name in SCENES]
+    "scene", [pytest.param(name, marks=[pytest.mark.thorough] * (name in LATER)) for name in SCENES]
 )
 def test_results_in_node_and_chromium_are_those_of_simulate(scene, browser, tmp_path):
     problem = read(scene, tmp_path)

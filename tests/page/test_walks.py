@@ -212,6 +212,7 @@ def place(page, x, y):
     }""", [x, y])  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_a_point_of_a_front_is_taken_by_a_click_and_says_for_which_question_it_was_computed(opened, traded):
     page = opened(traded)
     assert "9 efficient designs" in page.locator("#answer").inner_text()

@@ -172,7 +172,7 @@ class _Solve:
             points = self._optima(minima, *size)
         if not points and required:
             self._progress("looking for a design that meets the requirements", 0.0)
-            y = feasible_from(landscape, explored, start)
+            y = feasible_from(landscape, explored, start, request.limit)
             minima = descend(landscape, y)
             points = self._optima(minima, *size)
             if not points and (met := point_as_found(self._program, self._p, y)).solved:

@@ -10,7 +10,7 @@ from plough_opt.core.errors import InfeasibleDesign
 from plough_opt.core.units import in_words
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.program import Program, with_sure_steps
-from plough_opt.design.search.effort import effort_of
+from plough_opt.design.search.effort import TimeLimit, effort_of
 from plough_opt.design.search.explore import Explored, Explorer
 from plough_opt.design.search.landscape import (
     BASINS,
@@ -166,13 +166,14 @@ class _LeastViolation(NamedTuple):
 _LEAST = _LeastViolation()
 
 
-def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Vector:
+def feasible_from(landscape: Landscape, explored: Explored, start: Vector, limit: TimeLimit | None = None) -> Vector:
     """Return a scaled design that meets all requirements, after a search found none.
 
     Args:
         landscape: the landscape that was searched.
         explored: the result of the search.
         start: the scaled guess, which is tried, too.
+        limit: of the processor time, after which no further design goes on to IPOPT; default: none.
 
     Raises:
         InfeasibleDesign: the least violation found from several designs is not 0.
@@ -190,7 +191,11 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
         starts, known = list(ends.points), ends.violation.tolist()
     starts = starts[: _LEAST.most_polished]
     program = landscape.program.with_steps(landscape.p, starts=starts)
-    points = [_polished(landscape, program, one, violation) for one, violation in zip(starts, known, strict=False)]
+    points, limit = list[tuple[Point, Vector]](), limit or TimeLimit("near")
+    for one, violation in zip(starts, known, strict=False):
+        if points and limit.passed("further attempts to meet the requirements"):
+            break
+        points.append(_polished(landscape, program, one, violation, limit))
     solved = [own for own in points if own[0].solved] or points
     best, short = min(solved, key=lambda own: own[0].f)
     if best.f < _LEAST.violated:
@@ -198,7 +203,9 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     raise _infeasible(program, best, short, landscape.designs_tried)
 
 
-def _polished(landscape: Landscape, program: Program, y: Vector, violation: float) -> tuple[Point, Vector]:
+def _polished(
+    landscape: Landscape, program: Program, y: Vector, violation: float, limit: TimeLimit
+) -> tuple[Point, Vector]:
     """Return the design of least violation near another one, and the violation of each requirement.
 
     If IPOPT finds none that is as good, for instance because the violation has a kink, the other design is returned.
@@ -208,6 +215,7 @@ def _polished(landscape: Landscape, program: Program, y: Vector, violation: floa
         program: its program, with integration steps.
         y: the other design, scaled.
         violation: its summed violation; infinite if unknown.
+        limit: of the processor time, after which no further attempt begins.
     """
     p = landscape.p
     if not np.isfinite(violation):
@@ -216,6 +224,8 @@ def _polished(landscape: Landscape, program: Program, y: Vector, violation: floa
         point, short = program.solve_relaxed(y, p, box=box, exact=exact)
         if point.solved and point.f <= (1.0 + _LEAST.higher) * violation + _LEAST.violated:
             return point, short
+        if limit.passed("further attempts to meet the requirements"):
+            break
     short = landscape.violations(landscape.rows(y[None], finer=FINER)[1])[0]
     return replace(point, solved=True, y=y, f=float(short.sum())), short
 

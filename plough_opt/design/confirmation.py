@@ -180,7 +180,7 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
     """
     # At the top of a hill each descent may move a single variable.
     for _ in range(len(at.y) + 1):
-        curvatures, directions = known = _clear_curvatures(program, p, at) or curvatures_at(program, p, at)
+        curvatures, directions = known = curvatures_at(program, p, at, exact=False)
         if not curvatures.size or curvatures[0] >= -ZERO.curvature:
             return replace(at, curvatures=known)
         step = _ASIDE.step * directions[:, 0] / np.max(np.abs(directions[:, 0]))
@@ -193,8 +193,12 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
     return at
 
 
+# Curvatures above this, relative to the Hessian's size, are positive: difference quotients are right to 1e-4.
+_CLEAR = 1e-2
+
+
 def curvatures_at(
-    program: Program, p: Vector, at: Point, rows: tuple[Vector, Vector] | None = None
+    program: Program, p: Vector, at: Point, rows: tuple[Vector, Vector] | None = None, *, exact: bool = True
 ) -> tuple[Vector, Vector]:
     """Return the curvatures along the active limits, relative to the Hessian's size, ascending, and their directions.
 
@@ -205,41 +209,26 @@ def curvatures_at(
         p: parameters.
         at: a stationary point.
         rows: the scaled requirements and their Jacobian there, if they are known.
+        exact: whether curvatures that are clearly positive may not come from difference quotients, which take a tenth
+            of the time if runs are integrated side by side.
     """
-    free = _free(program, p, at, rows)
-    if not free.shape[1]:
-        return np.empty(0), free
-    hessian = symmetric(np.asarray(program.built.rough.hess_lag(at.y, p, 1.0, at.lam_g)))
-    if not np.all(np.isfinite(hessian)):
-        # Second derivatives may overflow if the motion is so damped that it forgets its start at once.
-        return np.empty(0), free[:, :0]
-    return reduced_curvatures(hessian, free)
-
-
-def _free(program: Program, p: Vector, at: Point, rows: tuple[Vector, Vector] | None = None) -> Vector:
-    """Return the directions along which no active limit changes: see `curvatures_at`."""
     values, jacobian = rows or program.built.solver.requirements(at.y, p)
     margins, pulls = program.margins(values), np.abs(at.lam_g)
     active = (margins < ZERO.margin) | decides(margins, pulls)
     # A bound without a multiplier does not stop a move away from it.
     bounds = decides(np.minimum(at.y, 1.0 - at.y), np.abs(at.lam_y))
-    return free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
-
-
-# Curvatures above this, relative to the Hessian's size, are positive: difference quotients are right to 1e-4.
-_CLEAR = 1e-2
-
-
-def _clear_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector] | None:
-    """Return `curvatures_at` by difference quotients, or None if one of them is not clearly positive.
-
-    Runs that are integrated side by side take a tenth of the time of exact second derivatives.
-    """
-    free = _free(program, p, at)
-    if not free.shape[1] or (quotients := Landscape(program, p).quotients(at.y)) is None:
-        return None
-    found = reduced_curvatures(lagrangian(quotients[2], at.lam_g), free)
-    return found if found[0][0] > _CLEAR else None
+    free = free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
+    if not free.shape[1]:
+        return np.empty(0), free
+    if not exact and (quotients := Landscape(program, p).quotients(at.y)) is not None:
+        found = reduced_curvatures(lagrangian(quotients[2], at.lam_g), free)
+        if found[0][0] > _CLEAR:
+            return found
+    hessian = symmetric(np.asarray(program.built.rough.hess_lag(at.y, p, 1.0, at.lam_g)))
+    if not np.all(np.isfinite(hessian)):
+        # Second derivatives may overflow if the motion is so damped that it forgets its start at once.
+        return np.empty(0), free[:, :0]
+    return reduced_curvatures(hessian, free)
 
 
 def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> bool:
@@ -280,7 +269,7 @@ BOX = BoxSample()
 
 @dataclass(frozen=True)
 class Spread:
-    """Objective and margins of a design within its tolerances, from a sample of 64 designs.
+    """Objective and margins of a design within its tolerances, from a sample of `BOX.designs` designs.
 
     Attributes:
         median: median objective of the designs that can be evaluated.

@@ -3,7 +3,8 @@
 import difflib
 import re
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Final, TypeAlias
 
 # Most characters of a name that are compared with valid ones, because the time grows with the square of the length.
@@ -68,23 +69,18 @@ class InputError(PloughError, ValueError):
     """
 
 
-class about:  # noqa: N801 (a context)
+@contextmanager
+def about(what: str, kind: type[PloughError] = InputError) -> Iterator[None]:
     """Put what an error is about in front of the message of any InputError that is raised inside.
 
     Args:
         what: the first words of the message, such as "'lower'".
         kind: errors that are meant, if others than InputErrors; they become InputErrors.
     """
-
-    def __init__(self, what: str, kind: type[PloughError] = InputError) -> None:
-        self._what, self._kind = what, kind
-
-    def __enter__(self) -> None:
-        """Do nothing yet."""
-
-    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        if isinstance(error, self._kind):
-            raise InputError(f"{self._what} {error}") from None
+    try:
+        yield
+    except kind as error:
+        raise InputError(f"{what} {error}") from None
 
 
 class IntegrationError(PloughError, RuntimeError):

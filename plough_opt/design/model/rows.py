@@ -35,41 +35,41 @@ class RowFunction:
     def __init__(self, function: ca.Function) -> None:
         """Take the Function."""
         self.function = function
-        self._sizes_in = [function.numel_in(k) for k in range(function.n_in())]
-        self._sizes_out = [function.numel_out(k) for k in range(function.n_out())]
-        self._call = self._in_vectors() or self._by_map()
+        self._call = _in_vectors(function) or _by_map(function)
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Return the results."""
         return self._call([np.ascontiguousarray(argument, dtype=float) for argument in arguments])
 
-    def _in_vectors(self) -> Callable[[list[Array]], list[Array]] | None:
-        """Return the evaluation by the library; None without it, or if it lacks an operation."""
-        if not self.function.is_a("SXFunction") or (evaluate := _library()) is None:
-            return None
-        rows, constants = _listed(self.function)
-        if not {code for code, *_ in rows} <= _CODES:
-            return None
-        results = self._sizes_out
-        sizes = np.array([*self._sizes_in, *results], dtype=np.int64)
-        program = np.array(rows, dtype=np.int32), np.array(constants), sizes
-        room, places = _WIDE * self.function.sz_w() + _WIDEST, c_void_p * len(sizes)
 
-        def call(arguments: list[Array]) -> list[Array]:
-            count, memory = len(arguments[0]), np.empty(room)
-            assert [one.shape for one in arguments] == [(count, size) for size in sizes[: len(arguments)]]
-            found = [np.empty((count, size)) for size in results]
-            listed = [array.ctypes.data for array in program]
-            at = places(*[array.ctypes.data for array in (*arguments, *found)])
-            evaluate(count, len(rows), *listed, len(arguments), at, memory.ctypes.data)
-            return found
+def _by_map(function: ca.Function) -> Callable[[list[Array]], list[Array]]:
+    """Return the evaluation by CasADi."""
+    mapped = lru_cache(_MAPS)(function.map)
+    return lambda given: [np.asarray(one).T for one in mapped(len(given[0])).call([rows.T for rows in given])]
 
-        return call
 
-    def _by_map(self) -> Callable[[list[Array]], list[Array]]:
-        """Return the evaluation by CasADi."""
-        mapped = lru_cache(_MAPS)(self.function.map)
-        return lambda given: [np.asarray(one).T for one in mapped(len(given[0])).call([rows.T for rows in given])]
+def _in_vectors(function: ca.Function) -> Callable[[list[Array]], list[Array]] | None:
+    """Return the evaluation by the library; None without it, or if it lacks an operation."""
+    if not function.is_a("SXFunction") or (evaluate := _library()) is None:
+        return None
+    rows, constants = _listed(function)
+    if not {code for code, *_ in rows} <= _CODES:
+        return None
+    taken = [function.numel_in(k) for k in range(function.n_in())]
+    given = [function.numel_out(k) for k in range(function.n_out())]
+    program = np.array(rows, dtype=np.int32), np.array(constants), np.array([*taken, *given], dtype=np.int64)
+    room, places = _WIDE * function.sz_w() + _WIDEST, c_void_p * (len(taken) + len(given))
+
+    def call(arguments: list[Array]) -> list[Array]:
+        count, memory = len(arguments[0]), np.empty(room)
+        assert [one.shape for one in arguments] == [(count, size) for size in taken]
+        results = [np.empty((count, size)) for size in given]
+        at = places(*[array.ctypes.data for array in (*arguments, *results)])
+        listed = [array.ctypes.data for array in program]
+        evaluate(count, len(rows), *listed, len(taken), at, memory.ctypes.data)
+        return results
+
+    return call
 
 
 # Codes of the operations that the library executes.

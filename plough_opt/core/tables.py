@@ -280,22 +280,18 @@ def _image(figure: Figure) -> str:
     return f'<img alt="picture of the result" src="data:image/png;base64,{b64encode(file.getvalue()).decode()}">'
 
 
-def data_frame(
-    columns: Mapping[str, Any], units: Mapping[str, str], of_rows: Mapping[str, str] | None = None
-) -> pandas.DataFrame:
+def data_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> pandas.DataFrame:
     """Return columns as a pandas DataFrame with units in ``attrs["units"]``.
 
     Args:
         columns: name of each column -> its values.
-        units: name of a column -> its unit, "" for a pure number.
-        of_rows: what a row is about -> the unit of its values, if the columns have no units of their own.
+        units: name of a column, or what a row is about -> its unit, "" for a pure number.
 
     Raises:
         InputError: pandas is not installed.
     """
     frame: pandas.DataFrame = optional("pandas").DataFrame(dict(columns))
-    own = {name: units[name] for name in columns if name in units}
-    frame.attrs["units"] = own if of_rows is None else dict(of_rows)
+    frame.attrs["units"] = dict(units)
     return frame
 
 

@@ -264,7 +264,7 @@ class LocalOptimum(Saveable):
         """
         names = ("name", "kind", "value", "limits", "margin", "multiplier", "active", "unit")
         columns = {name: [getattr(one, name) for one in self.limits] for name in names}
-        return data_frame(columns, {}, {one.name: one.unit for one in self.limits})
+        return data_frame(columns, {one.name: one.unit for one in self.limits})
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw the variables between their bounds.

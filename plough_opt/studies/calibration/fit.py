@@ -510,7 +510,7 @@ class Fit(Saveable):
         """
         names = ("place", "result", "unit", "observed", "predicted", "residual", "sigma", "standard_error")
         columns = {name: [getattr(row, name) for row in self.rows] for name in names}
-        return data_frame(columns, {}, {row.result: row.unit for row in self.rows})
+        return data_frame(columns, {row.result: row.unit for row in self.rows})
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw measured against predicted values, the residuals, and their distribution.

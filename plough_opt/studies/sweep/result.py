@@ -344,7 +344,8 @@ class Sweep(Readable):
         """
         optional("pandas")  # before all points are read
         table = self.table
-        return data_frame({name: table[name] for name in table.dtype.names or ()}, self.units)
+        units = {name: unit for name, unit in self.units.items() if name in self._store.about.columns}
+        return data_frame({name: table[name] for name in table.dtype.names or ()}, units)
 
     def to_csv(self, path: str | Path) -> Path:
         """Write a row for each point: its number, quantities and results in SI units, and why it has no results if so.

@@ -313,7 +313,7 @@ class RobustOptimum(Saveable):
         robust, nominal = self.best.variables, self.nominal.variables
         columns = {"variable": [*robust], "robust": [*robust.values()], "nominal": [nominal[name] for name in robust]}
         units = {limit.name: limit.unit for limit in self.best.limits if limit.kind == "bound"}
-        return data_frame(columns, {}, units)
+        return data_frame(columns, units)
 
 
 def _soil_table(field: SoilDistribution, origin: Origin) -> Grid:

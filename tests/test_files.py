@@ -335,9 +335,9 @@ def test_no_text_of_a_result_commands_a_terminal(tmp_path, name, most):
 def test_a_terminal_gets_only_the_styles_of_the_toolkit():
     out = io.StringIO()
     for text in HOSTILE:
-        grid = Grid.of(text, text, text, mark=text)
+        grid = Grid.of(text, text, text, "")
         grid.caption = text
-        grid.row(text, text, bold=True)
+        grid.row(text, text, text, bold=True)
         page = Page(text, (grid, text), (text,), text, text)
         print_page(Screen(file=out, force_terminal=True, width=60), page)
         with progress_on(Screen(file=out, force_terminal=True)) as show:

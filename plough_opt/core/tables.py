@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
 import re
 from abc import ABC, abstractmethod
@@ -94,18 +95,17 @@ class Grid:
                 raise ValueError(f"a row has {len(row)} cells, but the table has {len(self.columns)} columns")
 
     @classmethod
-    def of(cls, title: str, *headings: str, left: Sequence[str] = (), fold: Sequence[str] = (), mark: str = "") -> Grid:
-        """Return an empty table.
+    def of(cls, title: str, *headings: str, left: Sequence[str] = (), fold: Sequence[str] = ()) -> Grid:
+        """Return an empty table; cells of a column without a heading are highlighted, unless it is the first.
 
         Args:
             title: text above the table.
             headings: of the columns; the first column is aligned left.
             left: headings of further columns that are aligned left.
             fold: headings of columns that may be broken within a word.
-            mark: heading of the column whose cells are highlighted.
         """
-        return cls(tuple(Column(h, k == 0 or h in left, h in fold, k > 0 and h == mark)
-                         for k, h in enumerate(headings)), title)  # fmt: skip
+        columns = (Column(h, k == 0 or h in left, h in fold, k > 0 and not h) for k, h in enumerate(headings))
+        return cls(tuple(columns), title)
 
     @classmethod
     def pairs(cls, title: str, *rows: tuple[str, str]) -> Grid:
@@ -193,9 +193,7 @@ def _escaped(text: str) -> str:
 
 def _lines(row: Sequence[str]) -> list[tuple[str, ...]]:
     """Return a row whose cells may have several lines as rows of single lines."""
-    cells = [cell.splitlines() or [""] for cell in row]
-    most = max(map(len, cells))
-    return [tuple(cell[k] if k < len(cell) else "" for cell in cells) for k in range(most)]
+    return [*itertools.zip_longest(*(cell.splitlines() or [""] for cell in row), fillvalue="")]
 
 
 Part: TypeAlias = Grid | str

@@ -221,8 +221,8 @@ class LocalOptimum(Saveable):
             >>> best.local_optima[0].design_tables()[0].rows[0]
             ('height', '120 mm', '100 mm to 500 mm', '')
         """
-        bounds = Grid.of("", "variable", "best", "bounds", "", mark="")
-        required = Grid.of("Requirements", "requirement", "limits", "value", "margin", "", mark="")
+        bounds = Grid.of("", "variable", "best", "bounds", "")
+        required = Grid.of("Requirements", "requirement", "limits", "value", "margin", "")
         for one in self.limits:
             if one.kind == "bound":
                 bounds.row(one.name, one.shown.result(one.rounded), one.limits, "at its bound" if one.active else "")

@@ -333,7 +333,7 @@ def _soil_table(field: SoilDistribution, origin: Origin) -> Grid:
 def _design_table(best: Optimum, nominal: Optimum) -> Grid:
     """Return a table of the variables in the robust and in the nominal design."""
     title = f"Design: robust objective {best.objective:.{OBJECTIVE_DIGITS}g} ({best.status})"
-    table = Grid.of(title, "variable", "robust", "nominal", "bounds", "", mark="")
+    table = Grid.of(title, "variable", "robust", "nominal", "bounds", "")
     for limit in best.limits:
         if limit.kind == "bound":
             values = (limit.shown.result(optimum.variables[limit.name]) for optimum in (best, nominal))
@@ -350,7 +350,7 @@ def _limits_table(best: Optimum, requirements: Mapping[str, tuple[str, str]], or
         origin: gives the units of the file.
     """
     title = "Requirements of the robust design"
-    table = Grid.of(title, "requirement", "limits", "in", "value", "margin", "", left=("in",), mark="")
+    table = Grid.of(title, "requirement", "limits", "in", "value", "margin", "", left=("in",))
     for limit in best.limits:
         if limit.kind == "requirement" and limit.name in requirements:
             limits, soils = requirements[limit.name]

@@ -9,6 +9,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -249,11 +250,6 @@ class Readable(ABC):
         """Return the page; for a result read from a file, the page as it was saved."""
         return getattr(self, "_shown", None) or self.page()
 
-    def picture(self) -> Figure | None:
-        """Return the picture shown in a notebook, or None."""
-        plot = getattr(self, "plot", None)
-        return None if plot is None else plot()
-
     def __str__(self) -> str:
         """Return the page as plain text."""
         return str(self.shown_page())
@@ -263,9 +259,12 @@ class Readable(ABC):
         return f"<{type(self).__name__}: {printable(self.shown_page().heading)}>"
 
     def _repr_html_(self) -> str:
-        """Return tables and picture as HTML for a notebook."""
-        figure = self.picture()
-        return self.shown_page().html("" if figure is None else _image(figure))
+        """Return tables and picture as HTML for a notebook; a result that has nothing to draw shows its tables."""
+        image = ""
+        if plot := getattr(self, "plot", None):
+            with suppress(InputError):
+                image = _image(plot())
+        return self.shown_page().html(image)
 
 
 def _image(figure: Figure) -> str:

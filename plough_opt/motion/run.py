@@ -215,10 +215,6 @@ class Run(Saveable):
             if np.ndim(getattr(self.averages, name)):
                 raise ValueError(f"averages.{name} must be a number")
 
-    def picture(self) -> Figure | None:
-        """Return the picture for a notebook; None for a symbolic run."""
-        return None if self.checks is None else self.plot()
-
     @property
     def mean_draft(self) -> Expression:
         """Time average of the mount force P [N]."""

@@ -538,16 +538,6 @@ class BatchResult(Saveable):
     warnings: tuple[str, ...]
     kind = "batch"
 
-    def __repr__(self) -> str:
-        """Return a summary in one line, without the arrays."""
-        return f"<BatchResult: {self._heading()}>"
-
-    def _heading(self) -> str:
-        return (
-            f"{len(self)} designs in {self.seconds:.3g} s, {len(self.reasons)} without results,"
-            f" {np.count_nonzero(self.missed)} with an estimated error above {self.wanted:g}"
-        )
-
     def page(self) -> Page:
         """Return the range of every result, and why designs failed.
 
@@ -570,7 +560,11 @@ class BatchResult(Saveable):
         reasons = dict(itertools.islice(self.reasons.items(), _QUOTED))
         lost = [f"design {number} has no result: {reason}" for number, reason in reasons.items()]
         lost += [f"... and {len(self.reasons) - _QUOTED} more: see reasons"] if len(self.reasons) > _QUOTED else []
-        return Page(self._heading(), (*([table] if table.rows else []), *lost), self.warnings)
+        heading = (
+            f"{len(self)} designs in {self.seconds:.3g} s, {len(self.reasons)} without results,"
+            f" {np.count_nonzero(self.missed)} with an estimated error above {self.wanted:g}"
+        )
+        return Page(heading, (*([table] if table.rows else []), *lost), self.warnings)
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw the RMS of the mount force against the mean draft, a point for each design.

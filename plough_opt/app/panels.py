@@ -180,17 +180,16 @@ def gif(run: Run, slower: float) -> bytes:
     canvas = FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, height_ratios=(1.3, 1.0))
     figure.suptitle(f"{subject(run)}, {slower:g} times slower", fontsize="medium")
-    draw_panel(lower, run, deflection_of(run))
+    panel = deflection_of(run)
+    draw_panel(lower, run, panel)
     (dot,) = lower.plot([], [], "o", color=LIMIT, markersize=8)
-    mean = float(run.mean_deflection)
-    factor = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": mean}).factor
     _draw_scene(upper, run, 0.0, 0.0)
     canvas.draw()  # type: ignore[no-untyped-call]
     figure.set_layout_engine("none")  # so that all frames keep the layout of the first
     frames = []
     for time in np.linspace(0.0, float(run.time[-1]), count):
         deflection = float(np.interp(time, run.time, run.deflection))
-        dot.set_data([time], [deflection / factor])
+        dot.set_data([time], [deflection / panel.unit.factor])
         _draw_scene(upper, run, time, deflection)
         canvas.draw()  # type: ignore[no-untyped-call]
         pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]

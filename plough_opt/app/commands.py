@@ -28,7 +28,7 @@ from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES, quantities, wave_table
 from plough_opt.core.saving import Origin, is_store, load
 from plough_opt.core.tables import Grid, Page, data_frame
-from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display, customary
+from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display, in_words
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.formats import FORMATS, Request
 from plough_opt.laws.forces import cone_index
@@ -79,7 +79,7 @@ def soils(options: argparse.Namespace) -> None:
     properties = [{**asdict(soil), "cone_index": cone_index(soil)} for soil in found]
     units = {one.key: one.unit for one in QUANTITIES.values() if one.owner == "soil"} | {"cone_index": "Pa"}
     columns = {key: [one[key] for one in properties] for key in properties[0]}
-    give(options, tables.soils_page(found), lambda: json_text(properties), frame=lambda: data_frame(columns, units))
+    give(options, tables.soils_page(found), lambda: json_text(properties), None, lambda: data_frame(columns, units))
 
 
 def schema(_options: argparse.Namespace) -> None:
@@ -138,7 +138,9 @@ def optimise(options: argparse.Namespace) -> None:
     with progress() as notify:
         how: dict[str, Any] = {"search": _search_of(options.search), "judge": options.judge, "seed": options.seed}
         best, run = problem.optimise(notify, parameters=options.sensitivity, **how)
-        found = tables.sensitivities_of(best, notify) if options.sensitivity else ()
+        found, unknown = tables.sensitivities_of(best, notify) if options.sensitivity else ((), "")
+    if unknown:
+        LOG.info("note: no sensitivities: %s", unknown)
     best = replace(best, sensitivities=found)
     page = best.page()
     page = replace(page, parts=(*page.parts, *tables.further_results(problem, run)))
@@ -419,8 +421,8 @@ def compare(options: argparse.Namespace) -> None:
             raise InputError(f"'{name}' contains neither a design nor a run: name results of optimise or simulate")
     numbers = {name: _numbers(one) for name, one in saved.items()}
     origins = {name: one.origin for name, one in saved.items() if hasattr(one, "origin")}
-    changed = {name: " ".join(origin.overrides) or "nothing" for name, origin in origins.items()}
-    notes = tuple(f"{name}: {origins[name].file}, changed by --set: {text}" for name, text in changed.items())
+    notes = (f"{name}: {origin.file}, changed by --set: {' '.join(origin.overrides) or 'nothing'}"
+             for name, origin in origins.items())  # fmt: skip
     page = Page(f"{len(saved)} results side by side", (_table(saved, numbers), *notes))
     plain = {name: {key: value for key, (value, _) in own.items()} for name, own in numbers.items()}
     give(options, page, lambda: json_text(plain), lambda: _figure(saved), lambda: _frame(plain))
@@ -618,13 +620,11 @@ def _quality(fit: Fit, folds: int | None) -> str:
             raise
         return f"No cross-validation: {error}."
     units = {row.result: row.unit for row in fit.rows}
-    errors = "; ".join(f"{name} {_text(x, units[name])} (fitted rows {_text(found.rms_fitted[name], units[name])})"
-                       for name, x in found.rms.items())  # fmt: skip
+    errors = "; ".join(
+        f"{name} {in_words(x, units[name], 3)} (fitted rows {in_words(found.rms_fitted[name], units[name], 3)})"
+        for name, x in found.rms.items()
+    )
     return f"RMS error of rows left out of the fit, {found.folds} folds: {errors}."
-
-
-def _text(value: float, unit: str) -> str:
-    return customary(unit, value).text(value, 3)
 
 
 def waves(options: argparse.Namespace) -> None:

@@ -18,10 +18,10 @@ import numpy as np
 
 from plough_opt.app.page_model import PageModel, design_model, frame_model, page_model, shown_in, without_random
 from plough_opt.app.panels import Panel, changing, deflection_of, force_of, gif, subject
-from plough_opt.app.tables import ROUNDING
+from plough_opt.app.tables import ROUNDING, sensitivities_of
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.checks import check_domain, path_of, whole_number
-from plough_opt.core.errors import InputError, NotConverged, listed
+from plough_opt.core.errors import InputError, listed
 from plough_opt.core.expressions import as_number
 from plough_opt.core.files import COLOURS, check_file, text_of, write_file
 from plough_opt.core.plain_data import json_text
@@ -652,11 +652,7 @@ def reported(problem: Problem, notify: Progress, seed: int = 0) -> Report:
     front = problem.trade_off(progress=notify) if traded else None
     if problem.variables and problem.table.minimise:
         best, run = problem.optimise(notify, parameters=True, seed=seed)
-        notify("sensitivities", 1.0)
-        try:
-            sensitivities = best.every_sensitivity()
-        except (InputError, NotConverged) as error:
-            unknown = str(error)
+        sensitivities, unknown = sensitivities_of(best, notify)
     else:
         notify("simulating", 0.0)
         run = problem.simulate(None if front is None else shown_of(front).variables)

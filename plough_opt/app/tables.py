@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from plough_opt.app.terminal import LOG
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.quantities import quantities
 from plough_opt.core.tables import Grid, Page, Part
@@ -193,14 +192,13 @@ def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:
     return Grid.pairs(f"{title}, variables at their guesses" if problem.variables else title, *rows)
 
 
-def sensitivities_of(best: Optimum, notify: Progress) -> tuple[Sensitivity, ...]:
-    """Return all sensitivities of an optimum; if it has none, log the reason."""
+def sensitivities_of(best: Optimum, notify: Progress) -> tuple[tuple[Sensitivity, ...], str]:
+    """Return all sensitivities of an optimum, and the reason if it has none."""
     notify("sensitivities", 1.0)
     try:
-        return best.every_sensitivity()
+        return best.every_sensitivity(), ""
     except (InputError, NotConverged) as error:
-        LOG.info("note: no sensitivities: %s", error)
-        return ()
+        return (), str(error)
 
 
 def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity]) -> Page:

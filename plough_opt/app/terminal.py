@@ -206,8 +206,8 @@ def give(
     options: argparse.Namespace,
     page: Page,
     to_json: Callable[[], str],
-    plot: Callable[[], Figure] | None = None,
-    frame: Callable[[], Any] | None = None,
+    plot: Callable[[], Figure] | None,
+    frame: Callable[[], Any],
     to_csv: Callable[[str], Path] | None = None,
 ) -> None:
     """Print a result as a page, or as JSON with --json; write its picture, its table and its JSON where options say so.
@@ -216,25 +216,23 @@ def give(
         options: the options of the command.
         page: the page of the result.
         to_json: function that returns the result as JSON.
-        plot: function that returns its picture, if it has one.
-        frame: function that returns its table as a data frame, if it has one.
+        plot: function that returns its picture, or None.
+        frame: function that returns its table as a data frame.
         to_csv: function that writes a CSV file, if it needs no data frame.
     """
     from plough_opt.core.tables import write_frame
 
-    path = getattr(options, "csv", None)
-    for name, has in (("plot", plot), ("csv", frame)):
-        if getattr(options, name, None) is not None and has is None:
-            raise InputError(f"--{name}: this result has none: remove the option")
+    if plot is None and getattr(options, "plot", None) is not None:
+        raise InputError("--plot: this result has none: remove the option")
     if options.json:
         print(to_json())
     else:
         print_page(console(), page)
     if plot is not None and options.plot is not None:
         wrote(save_figure(plot(), options.plot))
-    if path is not None and frame is not None:
+    if (path := options.csv) is not None:
         wrote(to_csv(path) if to_csv is not None and not _is_workbook(path) else write_frame(path, frame()))
-    if getattr(options, "output", None) is not None:
+    if options.output is not None:
         wrote(write_file(options.output, "output", f"{to_json()}\n"))
 
 

@@ -6,7 +6,7 @@ Each Function consists of small scalar graphs around one loop over the integrati
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -261,11 +261,6 @@ class Scenes:
         scene, duration = self.make({port.name: value for port, value in zip(self.inputs, x, strict=True)})
         return scene, duration_of(scene, duration)
 
-    def at_numbers(self, x: Iterable[float]) -> tuple[Scene, float]:
-        """Return the numeric scene and duration at numeric values of the inputs, given in order."""
-        scene, duration = self.at([float(value) for value in x])
-        return scene, float(as_number(duration))
-
     @cached_property
     def _symbolic(self) -> tuple[Any, list[Any], Scene, Expression]:
         """Return the CasADi type, a symbol of it for each input, and the scene and duration of these symbols."""
@@ -428,7 +423,8 @@ class Box:
         for x in corner_points(self.scenes.inputs):
             where = point_text(self.scenes.inputs, x)
             try:
-                scene, duration = self.scenes.at_numbers(x)
+                scene, given = self.scenes.at(x.tolist())
+                duration = float(as_number(given))
                 scene.check_reaction()
                 refuse_runaway(scene, duration)
             except PloughError as error:

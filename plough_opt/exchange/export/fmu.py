@@ -334,23 +334,21 @@ def _magnitudes(scene: Scene) -> dict[str, float]:
 
 def _calculated(scene: Scene, symbolic: Scene) -> dict[FmuVariable, ca.SX]:
     """Return the variables that depend on the parameters alone, with their expressions from the symbolic scene."""
-    gas, carries = not scene.law.lacks("loosened_radius"), not scene.law.lacks("added_mass")
-    half_angle = FmuVariable("share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
-    radius = FmuVariable("share.loosened_radius", "m", "radius r* of the compaction front at the share's base")
-    static = FmuVariable("share.static_resistance", "N", "static resistance F0", shown="kN")
-    drag = FmuVariable("share.drag_coefficient", "N*s^2/m^2", "resistance Fd per squared speed")
-    carried = FmuVariable("share.added_mass", "kg", "mass m_a of soil that the share carries along")
     found = {}
-    for variable, path, present in (
-        (half_angle, "cone.half_angle", isinstance(scene.share, Wedge)),
-        (radius, "loosened_radius", gas),
-        (static, "reaction.static", True),
-        (drag, "reaction.drag", scene.effects.inertial_drag),
-        (carried, "reaction.added_mass", scene.effects.added_mass and carries),
-    ):
-        if present:
-            value = attrgetter(path)
-            found[replace(variable, nominal=abs(float(value(scene))))] = value(symbolic)
+
+    def add(path: str, name: str, unit: str, description: str, shown: str = "") -> None:
+        value = attrgetter(path)
+        found[FmuVariable(name, unit, description, nominal=abs(float(value(scene))), shown=shown)] = value(symbolic)
+
+    if isinstance(scene.share, Wedge):
+        add("cone.half_angle", "share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
+    if not scene.law.lacks("loosened_radius"):
+        add("loosened_radius", "share.loosened_radius", "m", "radius r* of the compaction front at the share's base")
+    add("reaction.static", "share.static_resistance", "N", "static resistance F0", shown="kN")
+    if scene.effects.inertial_drag:
+        add("reaction.drag", "share.drag_coefficient", "N*s^2/m^2", "resistance Fd per squared speed")
+    if scene.effects.added_mass and not scene.law.lacks("added_mass"):
+        add("reaction.added_mass", "share.added_mass", "kg", "mass m_a of soil that the share carries along")
     return found
 
 

@@ -255,14 +255,6 @@ class BoxSample(NamedTuple):
     most_runs: int = 64
     fewest: int = 8
 
-    @property
-    def median_error(self) -> float:
-        """Standard error of the median in units of the interquartile range.
-
-        It is 1.25 sigma/sqrt(n) for a normal distribution, whose interquartile range is 1.35 sigma.
-        """
-        return float(1.25 / np.sqrt(self.designs) / 1.35)
-
 
 BOX = BoxSample()
 
@@ -337,7 +329,8 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     best = int(np.argmin(median))
     broad = ~_too_high(landscape, median, own)
     with np.errstate(invalid="ignore"):
-        error = BOX.median_error * np.where(np.isfinite(high), high - low, np.inf)
+        # For a normal distribution it is 1.25 sigma/sqrt(n), and the interquartile range is 1.35 sigma.
+        error = 1.25 / math.sqrt(BOX.designs) / 1.35 * np.where(np.isfinite(high), high - low, np.inf)
         equal = broad & (median - median[best] <= 2.0 * np.hypot(error, error[best]))
     equal[best] = True
     return sorted(range(len(points)), key=lambda k: (not equal[k], own[k] if equal[k] else median[k]))

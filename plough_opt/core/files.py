@@ -44,8 +44,6 @@ _ODD_NAME: Final = re.compile(
 # Endings of modules that Python, on any system, would import in the place of others, and of start-up files.
 _CODE: Final = {".py", ".pyw", ".pyc", ".pyd", ".so", ".dll", ".dylib", ".pth"}
 
-PICTURE_FORMATS = ("png", "svg", "pdf")
-
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
 """The colours of Okabe and Ito (2008), which colour-blind readers can distinguish, and a grey."""
 
@@ -438,4 +436,4 @@ def check_format(path: str | Path) -> Path:
     Raises:
         InputError: the path does not end in a picture format, or is a folder.
     """
-    return check_file(path, "picture", *(f".{ending}" for ending in PICTURE_FORMATS))
+    return check_file(path, "picture", ".png", ".svg", ".pdf")

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import partial
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal, Self, TypeVar
@@ -318,15 +317,12 @@ def _parsed(text: str) -> Any:
 
 # First bytes of an SQLite file, which the store of a sweep is.
 _STORE: Final = b"SQLite format 3"
-_CLASSES: Final = {
-    "plough_opt.motion.run": ("Machine", "Run"),
-    "plough_opt.motion.batch.batch": ("BatchResult",),
-    "plough_opt.design.result.optimum": ("LocalOptimum", "Optimum", "Rounded"),
-    "plough_opt.studies.tradeoff.result": ("TradeOff",),
-    "plough_opt.studies.accuracy.result": ("AccuracyStudy",),
-    "plough_opt.studies.calibration.fit": ("Fit",),
-    "plough_opt.studies.uncertainty.result": ("RobustOptimum",),
-}
+# Module and name of each kind of saved result, below this package.
+_CLASSES: Final = (
+    "motion.run:Machine", "motion.run:Run", "motion.batch.batch:BatchResult", "design.result.optimum:LocalOptimum",
+    "design.result.optimum:Optimum", "design.result.optimum:Rounded", "studies.tradeoff.result:TradeOff",
+    "studies.accuracy.result:AccuracyStudy", "studies.calibration.fit:Fit", "studies.uncertainty.result:RobustOptimum",
+)  # fmt: skip
 
 
 def load(path: str | Path) -> Any:
@@ -351,12 +347,12 @@ def load(path: str | Path) -> Any:
         >>> str(again) == str(run)
         True
     """
+    from pkgutil import resolve_name
+
     path = path_of("the result", path)
     if is_store(path):
         raise InputError(f"{shown(str(path), 200)} is the store of a sweep: read it with po.Sweep.load")
-    classes: list[type[Saveable]] = [
-        getattr(import_module(module), name) for module, names in _CLASSES.items() for name in names
-    ]
+    classes: list[type[Saveable]] = [resolve_name(f"plough_opt.{path}") for path in _CLASSES]
     return read_result(path, {kind.kind: kind for kind in classes})
 
 

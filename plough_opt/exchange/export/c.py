@@ -101,7 +101,7 @@ def _source(component: Component, functions: Mapping[str, ca.Function]) -> str:
         _doubles(f"{name}_input_lower", [port.lower for port in component.inputs]),
         _doubles(f"{name}_input_upper", [port.upper for port in component.inputs]),
         _doubles(f"{name}_input_values", [port.value for port in component.inputs]),
-        _strings(f"{name}_output_names", (_element(port, k) for port, k in outputs)),
+        _strings(f"{name}_output_names", (f"{port.name}[{k}]" if port.size > 1 else port.name for port, k in outputs)),
         _strings(f"{name}_output_units", (port.unit for port, _ in outputs)),
     ]
     sizes = {size: max(getattr(one, f"sz_{size}")() for one in (values, slopes)) + 1 for size in ("arg", "res", "iw")}
@@ -135,11 +135,6 @@ def _test(component: Component, functions: Mapping[str, ca.Function]) -> str:
     name = component.name()
     made = {"name": name, "upper": name.upper(), "count": len(points), "points": _rows(points), "most": MOST_ULP}
     return _filled("component_test.c", **made, **rows)
-
-
-def _element(port: Port, k: int) -> str:
-    """Return the name of element k of an output, with an index if it is a column."""
-    return f"{port.name}[{k}]" if port.size > 1 else port.name
 
 
 def _strings(name: str, values: Iterable[str]) -> str:

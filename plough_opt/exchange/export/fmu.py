@@ -144,8 +144,10 @@ def model_of(named: NamedScene, *, by_speed: bool) -> FmuModel:
         InputError: the input is the strut's position, and the equations need its speed.
     """
     scene, structure = named.scene, Structure.of(named.scene)
-    if not by_speed:
-        _check_position_suffices(structure)
+    if structure.damper and not by_speed:
+        raise InputError("a damper in the mount needs the strut's speed: use strut = 'speed', or leave damping out")
+    if structure.ramp and not by_speed:
+        raise InputError("tow_ramp prescribes the strut's motion too: use strut = 'speed', or leave tow_ramp out")
     symbols, symbolic = _with_parameters(named)
     from_scene = parameters(symbolic)
     numbers, given = {name: ca.SX.sym(name) for name in from_scene}, ca.SX.sym("input")
@@ -185,14 +187,6 @@ def model_of(named: NamedScene, *, by_speed: bool) -> FmuModel:
     return FmuModel(
         of_kind, functions, _depends(of_kind, ca.jacobian_sparsity(_column(now), _column([x, u, share.time])))
     )
-
-
-def _check_position_suffices(structure: Structure) -> None:
-    """Raise InputError if the equations need the strut's speed."""
-    if structure.damper:
-        raise InputError("a damper in the mount needs the strut's speed: use strut = 'speed', or leave damping out")
-    if structure.ramp:
-        raise InputError("tow_ramp prescribes the strut's motion too: use strut = 'speed', or leave tow_ramp out")
 
 
 def _column(values: Any) -> ca.SX:

@@ -93,8 +93,7 @@ def _glb(trimesh: Any, part: _Part) -> bytes:
 
 
 def _gltf(trimesh: Any, part: _Part) -> bytes:
-    files = _scene(trimesh, part).export(file_type="gltf", embed_buffers=True)
-    return bytes(files["model.gltf"])
+    return bytes(_scene(trimesh, part).export(file_type="gltf", embed_buffers=True)["model.gltf"])
 
 
 def _dxf(ezdxf: Any, part: _Part) -> str:

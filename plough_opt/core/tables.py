@@ -128,14 +128,15 @@ class Grid:
 
     def __str__(self) -> str:
         """Return the table as plain text."""
-        headings = [tuple(" ".join(text.split()) for text in self._headings())] if self.headed else []
-        # A cell with several lines takes as many rows of text.
-        rows = [*headings, *(line for row in self._cells() for line in _lines(row))]
+        rows = [tuple(" ".join(text.split()) for text in self._headings())] if self.headed else []
+        for row in self._cells():
+            # A cell with several lines takes as many rows of text.
+            rows += itertools.zip_longest(*(cell.splitlines() or [""] for cell in row), fillvalue="")
         aligned = []
         for column, cells in zip(self.columns, zip(*rows, strict=True), strict=False):
             side, width = "<" if column.left else ">", max(map(len, cells))
             aligned.append([f"{cell:{side}{width}}" for cell in cells])
-        text = "\n".join(f"  {'  '.join(row)}".rstrip() for row in zip(*aligned, strict=True))
+        text = "\n".join(f"  {'  '.join(cells)}".rstrip() for cells in zip(*aligned, strict=True))
         return "\n".join(part for part in (printable(self.title), text, printable(self.caption)) if part)
 
     def _headings(self) -> list[str]:
@@ -190,11 +191,6 @@ class Grid:
 def _escaped(text: str) -> str:
     """Return a text as HTML, with its lines."""
     return escape(printable(text)).replace("\n", "<br>")
-
-
-def _lines(row: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return a row whose cells may have several lines as rows of single lines."""
-    return [*itertools.zip_longest(*(cell.splitlines() or [""] for cell in row), fillvalue="")]
 
 
 Part: TypeAlias = Grid | str

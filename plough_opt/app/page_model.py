@@ -109,7 +109,8 @@ def page_model(problem: Problem) -> PageModel:
     Raises:
         InputError: the scene has something that the page cannot compute; the message names it.
     """
-    _refuse(problem)
+    if problem.scene().effects.orbit not in ("transient", "periodic"):
+        raise InputError("the page does not compute approximations of periodic orbits: use orbit = 'periodic'")
     values = {key: v.guess for key, v in problem.variables.items()} | problem.numbers()
     if problem.scene().effects.tow_profile is not None:
         del values["scene.tow_speed"]  # a table over time, which no slider moves
@@ -335,12 +336,6 @@ def _slopes(problem: Problem) -> dict[str, float]:
     """Return the slopes of the user's own resistances, which decide the first number of steps, at the file's values."""
     scene = problem.scene()
     return slopes(Own.of(scene), parameters(scene)) if scene.effects.own else {}
-
-
-def _refuse(problem: Problem) -> None:
-    """Raise InputError for what the page cannot compute."""
-    if problem.scene().effects.orbit not in ("transient", "periodic"):
-        raise InputError("the page does not compute approximations of periodic orbits: use orbit = 'periodic'")
 
 
 def _dense(name: str, *parts: Any) -> ca.Function:

@@ -461,15 +461,6 @@ def design_page(best: Optimum, model: PageModel, title: str, made: str) -> str:
     return _rendered("design.html", title=title, best=best, made=made, data=shown, model=model)
 
 
-def motion_page(run: Run, title: str) -> str:
-    """Return an HTML page with the animation of a run.
-
-    Raises:
-        InputError: jinja2 is not installed.
-    """
-    return _rendered("motion.html", title=title, data={"motion": motion(run)})
-
-
 def explored(report: Report, model: PageModel) -> dict[str, Any]:
     """Return what the page's controls must know: its model, the best design, the file, and units over time."""
     problem, best, knee = report.problem, report.best, report.front and shown_of(report.front)
@@ -667,6 +658,7 @@ def write_animation(run: Run, target: str | Path, slower: float) -> Path:
     if not changing(run):
         raise InputError("nothing changes over time in this run, so there is no motion to animate")
     if path.suffix.lower() == ".html":
-        return write_file(path, "animation", motion_page(run, subject(run).replace("\n", ": ")))
+        text = _rendered("motion.html", title=subject(run).replace("\n", ": "), data={"motion": motion(run)})
+        return write_file(path, "animation", text)
     check_file(path, "animation", ".html", ".gif")
     return write_file(path, "animation", gif(run, slower))

@@ -235,7 +235,8 @@ class AccuracyStudy(Saveable):
             second = cheapest(others, key, self.wanted)
             than = ", the only method that reaches it" if others else ""
             if second is not None:
-                than = f", {_cheaper(second.seconds / best.seconds)} {second.label}"
+                times = _times(second.seconds / best.seconds)
+                than = f", {f'{times}cheaper than' if times else 'about as cheap as'} {second.label}"
             clauses = [f"for {wanted} take {best.label}: {_result(best, key)}{than}"]
             if best.checked is not None:
                 clauses.append(f"{duration_text(best.checked)} with the check of simulate")
@@ -381,10 +382,6 @@ def _times(ratio: float) -> str:
     if 1.0 / _NOISE < ratio < _NOISE:
         return ""
     return f"{ratio:.0f} times " if ratio >= 9.5 else f"{ratio:.1f} times "
-
-
-def _cheaper(ratio: float) -> str:
-    return f"{_times(ratio)}cheaper than" if _times(ratio) else "about as cheap as"
 
 
 def _result(entry: MethodResult, key: str) -> str:

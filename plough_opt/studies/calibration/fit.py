@@ -628,7 +628,10 @@ def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
     _draw_residuals(over_predicted, counted, kinds, predicted, _predicted_label(kinds))
     shown, values, label = _varied(counted, origin)
     _draw_residuals(over_varied, shown, kinds, values, label)
-    _draw_quantiles(quantiles, counted)
+    (theory, ordered), _ = stats.probplot([_standardised(row) for row in counted])
+    quantiles.plot(theory, ordered, "o", markersize=4, color=COLOURS[0])
+    _draw_diagonal(quantiles, 0.0, "normal")
+    quantiles.set(xlabel="normal quantile", ylabel="(predicted - measured) / standard error, ordered")
     figure.suptitle(title)
     return figure
 
@@ -657,14 +660,6 @@ def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display
     axes.legend(fontsize="x-small", loc="upper right")
     axes.set(xlabel=label, ylabel="(predicted - measured) / standard error")
     axes.grid(alpha=0.25)
-
-
-def _draw_quantiles(axes: Axes, rows: Sequence[Row]) -> None:
-    """Draw the ordered standardised residuals over normal quantiles."""
-    (theory, ordered), _ = stats.probplot([_standardised(row) for row in rows])
-    axes.plot(theory, ordered, "o", markersize=4, color=COLOURS[0])
-    _draw_diagonal(axes, 0.0, "normal")
-    axes.set(xlabel="normal quantile", ylabel="(predicted - measured) / standard error, ordered")
 
 
 def _draw_diagonal(axes: Axes, place: float, label: str) -> None:

@@ -20,8 +20,8 @@ from plough_opt.core.expressions import Expression, as_number, is_casadi, is_sym
 from plough_opt.core.quantities import EVERY, Quantity
 from plough_opt.core.units import has_unit, in_si, unit_of
 from plough_opt.laws.law import ResistanceLaw
-from plough_opt.motion import Run
 from plough_opt.motion.methods import Accuracy
+from plough_opt.motion.run import ARRAY_OF_PEAK, Run
 from plough_opt.motion.vocabulary import MEASURES
 
 # An input whose bounds have at least this ratio is sampled evenly in its logarithm.
@@ -33,8 +33,6 @@ _INTERIOR_POINTS = 32
 RELAXATION = 1e-6
 """An input of an export may lie outside its bounds by this part of their distance, because optimisers relax bounds."""
 
-# A peak has no derivative where its time jumps; the signal itself serves instead.
-_SIGNALS_OF_PEAKS = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 # A number may lie outside its bounds by this part of their distance, because conversion of units rounds.
 _SLACK = 1e-9
 
@@ -224,8 +222,8 @@ def measure_of(output: Output, law: ResistanceLaw) -> tuple[str, Callable[[Run],
     """
     if output.of is not None:
         return output.unit or "", output.of
-    if output.name in _SIGNALS_OF_PEAKS:
-        signal = _SIGNALS_OF_PEAKS[output.name]
+    # A peak has no derivative where its time jumps; the signal itself serves instead.
+    if (signal := ARRAY_OF_PEAK.get(output.name)) is not None:
         raise InputError(f"'{output.name}' has no derivative: use '{signal}', which has a value at every output time")
     check_named("no result is named {}", output.name, MEASURES)
     measure = MEASURES[output.name]

@@ -33,8 +33,8 @@ ARRAYS: Final = {
 }  # fmt: skip
 """Name of an array over the output times -> its unit."""
 
-# Peak -> the array whose limit in a problem file, and so whose unit, applies to it.
-_ARRAY_OF_PEAK: Final = {"peak_force": "mount_force", "peak_deflection": "deflection"}
+ARRAY_OF_PEAK: Final = {"peak_force": "mount_force", "peak_deflection": "deflection"}
+"""Peak -> the array that it is of, whose limit in a problem file, and so whose unit, applies to it."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -314,7 +314,7 @@ class Run(Saveable):
         return self.checks
 
     def _peak(self, name: str) -> float:
-        array = _ARRAY_OF_PEAK[name]
+        array = ARRAY_OF_PEAK[name]
         values = getattr(self, array)
         if is_casadi(values):
             raise InputError(
@@ -342,7 +342,7 @@ def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
         "W": ("tow_power",),
     }
     units = {
-        unit: origin.common(unit, {_ARRAY_OF_PEAK.get(name, name): max((_result(run, name) for run in every), key=abs)
+        unit: origin.common(unit, {ARRAY_OF_PEAK.get(name, name): max((_result(run, name) for run in every), key=abs)
                                    for name in own})
         for unit, own in names.items()
     }  # fmt: skip

@@ -472,7 +472,6 @@ _TICKS: Final = 6
 _UNCHANGED: Final = 1e-4
 # Triangles with a side longer than this many times the median lie across a hole.
 _LONGEST_SIDE: Final = 3.0
-_LEAST_CORNERS: Final = 3
 # Direction of view in space [deg]: above the plane of the first two objectives, and aside from their diagonal.
 _ELEVATION: Final = 22.0
 _ASIDE: Final = 20.0
@@ -613,11 +612,10 @@ def _triangles(places: Array) -> list[np.ndarray]:
     """Return the corners of the triangles between the points of a part, as a list of one array, or of none for a line.
 
     The points are triangulated in a projection along the diagonal (1, 1, 1), in which no part of a front hides another.
+    One or two points lie on a line too.
     """
     from matplotlib.tri import Triangulation
 
-    if len(places) < _LEAST_CORNERS:
-        return []
     low, span = places.min(axis=0), np.ptp(places, axis=0)
     flat = (places - low) / np.where(span > 0.0, span, 1.0) @ ACROSS
     if np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-6) < 2:

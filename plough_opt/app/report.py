@@ -378,7 +378,6 @@ def _body(key: str, label: str, colour: str, opacity: float, solid: Solid, *, ed
         "label": label,
         "colour": colour,
         "opacity": opacity,
-        "smooth": not edges,
         "vertices": _short(solid.vertices.ravel()),
         "triangles": solid.triangles.ravel().tolist(),
         "edges": [number for pair in sorted(lines) for number in pair] if edges else [],

@@ -31,6 +31,12 @@ class Scaled:
     upper: float
     log: bool
 
+    def scaled(self, value: Expression) -> Expression:
+        """Return the scaled quantity from a value."""
+        if self.log:
+            return log(value / self.lower) / math.log(self.upper / self.lower)
+        return (value - self.lower) / (self.upper - self.lower)
+
     def unscaled(self, y: Expression) -> Expression:
         """Return the value from the scaled quantity."""
         if self.log:
@@ -79,12 +85,6 @@ class Variable(Scaled):
     def shown(self) -> Display:
         """The unit in reports."""
         return self.display or customary(self.unit, self.lower, self.upper)
-
-    def scaled(self, value: Expression) -> Expression:
-        """Return the scaled variable, 0 to 1 between the bounds, from a value."""
-        if self.log:
-            return log(value / self.lower) / math.log(self.upper / self.lower)
-        return (value - self.lower) / (self.upper - self.lower)
 
     def value(self, y: float) -> float:
         """Return the value from the scaled variable, and exactly the bound at or beyond 0 and 1."""

@@ -391,12 +391,6 @@ class Unknown(Scaled):
         """Standard deviation that is assumed for a direct measurement."""
         return _DIRECT_ERROR * (self.upper - self.lower)
 
-    def scaled(self, value: float) -> float:
-        """Return the scaled value of a quantity."""
-        if self.log:
-            return math.log(value / self.lower) / math.log(self.upper / self.lower)
-        return (value - self.lower) / (self.upper - self.lower)
-
 
 @dataclass(frozen=True)
 class CalibrationModel:

@@ -57,7 +57,6 @@ class Report:
         sensitivities: sensitivities of the optimum, the largest first.
         unknown: reason why there are no sensitivities, or "".
         provenance: heading -> text of everything that identifies how the report was made.
-        text: text of the problem file.
         front: front of the traded results, if the file trades some.
     """
 
@@ -67,7 +66,6 @@ class Report:
     sensitivities: tuple[Sensitivity, ...] = ()
     unknown: str = ""
     provenance: dict[str, str] = field(default_factory=dict)
-    text: str = ""
     front: TradeOff | None = None
 
     def display(self, key: str, unit: str, *values: float) -> Display:
@@ -591,7 +589,7 @@ def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> 
         best, _ = problem.optimise(notify, seed=seed)
         text = design_page(best, model, problem.title, f"{problem.origin.file}, {_made(seed)}")
     else:
-        text = page(replace(reported(problem, notify, seed), provenance=_provenance(problem, seed), text=problem.text))
+        text = page(replace(reported(problem, notify, seed), provenance=_provenance(problem, seed)))
     return write_file(path, "page", text)
 
 

@@ -221,7 +221,7 @@ class Solved:
             valid_from=lowest,
             valid_to=highest,
             then=(below, above),
-            touching=self._active.touching if differs else (),
+            touching=self._active.names(self._active.weak) if differs else (),
             falling=falling,
             difference=self._difference(target, objective, up, down) if check else None,
         )
@@ -230,7 +230,7 @@ class Solved:
         """Return the sensitivities to all parameters that matter and all limits that decide, largest first."""
         matters = self._active.parameters_that_matter
         names = [p.name for p, matter in zip(self.program.declared.parameters, matters, strict=True) if matter]
-        names += [name for name in self._active.deciding_names if name in self._limits]
+        names += [name for name in self._active.names(self._active.deciding) if name in self._limits]
         return tuple(sorted(map(self.sensitivity, names), key=lambda one: -abs(one.elasticity or 0.0)))
 
     # --- parameters and limits by name -------------------------------------------------------------------
@@ -581,17 +581,8 @@ class ActiveSet:
         columns = np.vstack([self.gradient, self.gradients, self.hessian])[:, self.n :]
         return [bool(matters) for matters in np.any(columns != 0.0, axis=0)]
 
-    @property
-    def deciding_names(self) -> tuple[str, ...]:
-        """Names of the deciding sides, each once."""
-        return self._names(self.deciding)
-
-    @property
-    def touching(self) -> tuple[str, ...]:
-        """Names of the weakly active sides, each once."""
-        return self._names(self.weak)
-
-    def _names(self, which: Mask | NDArray[np.intp]) -> tuple[str, ...]:
+    def names(self, which: Mask | NDArray[np.intp]) -> tuple[str, ...]:
+        """Return the names of some sides, such as the deciding or the weakly active ones, each once."""
         return tuple(dict.fromkeys(self.sides[k].name for k in np.arange(len(self.sides))[which]))
 
     # --- optima without a derivative ---------------------------------------------------------------------
@@ -600,12 +591,13 @@ class ActiveSet:
         a = self.gradients[self.deciding, : self.n]
         if not independent(a, ZERO.rank):
             raise InputError(
-                f"the limits that decide ({', '.join(self.deciding_names)}) are not independent: their multipliers are"
-                " not unique, so there are no derivatives; drop or loosen one of them"
+                f"the limits that decide ({', '.join(self.names(self.deciding))}) are not independent: their"
+                " multipliers are not unique, so there are no derivatives; drop or loosen one of them"
             )
         if len(self.weak) > _DECIDING.most_weak:
             raise InputError(
-                f"too many limits just touch the optimum without deciding it: {', '.join(self.touching)}; loosen them"
+                f"too many limits just touch the optimum without deciding it: {', '.join(self.names(self.weak))};"
+                " loosen them"
             )
         if not self._curved(a):
             raise InputError(_FLAT)

@@ -103,7 +103,8 @@ class Calibration:
             check_named("{} is not an unknown of this calibration", name, names)
         if missing := [name for name in names if name not in given]:
             raise InputError(f"the values lack {', '.join(missing)}: give every unknown a value")
-        return self.setup.problem.predict(np.array([u.scaled(u.read(f"'{u.name}'", given[u.name])) for u in unknowns]))
+        y = np.array([u.scaled(u.read(f"'{u.name}'", given[u.name])) for u in unknowns])
+        return self.setup.problem.at(y)[0]
 
     def fit(self, observed: Array | None = None) -> Fit:
         """Return the fit to the measured values, or to other observed values.

@@ -175,13 +175,9 @@ class LeastSquares:
             self._last = y.tobytes(), values.ravel(), slopes.reshape(self.rows, self.unknowns)
         return self._last[1:]
 
-    def predict(self, y: Array) -> Array:
-        """Return the predictions (n)."""
-        return self.at(y)[0]
-
     def total(self, y: Array, data: Data) -> float:
         """Return the sum of losses."""
-        return float(np.sum(self.loss.value(data.weights * (self.predict(y) - data.observed))))
+        return float(np.sum(self.loss.value(data.weights * (self.at(y)[0] - data.observed))))
 
     def solve(self, start: Array, data: Data, centre: Array | None = None, held: int | None = None) -> Minimum:
         """Return the local optimum reached from a start.
@@ -517,7 +513,7 @@ def estimate(setup: Setup, data: Data, guess: Array, starts: int) -> Estimate:
 
 def _rescaled(problem: LeastSquares, data: Data, y: Array) -> Data:
     """Return the data with the weights that belong to a fit: over its predictions, and over the residuals' scale."""
-    sized = data.at(problem.predict(y))
+    sized = data.at(problem.at(y)[0])
     return replace(sized, weights=sized.weights / _scale(problem, sized, y)) if problem.loss.robust else sized
 
 
@@ -558,7 +554,7 @@ def _starts(problem: LeastSquares, data: Data, count: int) -> list[Array]:
 
 def _scale(problem: LeastSquares, data: Data, y: Array) -> float:
     """Return the standard deviation of the residuals, estimated from the median of their absolute values."""
-    size = np.abs(data.weights * (problem.predict(y) - data.observed))[data.weights > 0.0]
+    size = np.abs(data.weights * (problem.at(y)[0] - data.observed))[data.weights > 0.0]
     freedom = max(len(size) - problem.unknowns, 1)
     return max(_MAD * float(np.median(size)) * math.sqrt(len(size) / freedom), _LEAST_SCALE)
 

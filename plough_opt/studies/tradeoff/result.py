@@ -628,13 +628,11 @@ def _triangles(places: Array) -> list[np.ndarray]:
 
 def _draw_over(axes: Axes, front: TradeOff, axis: Axis) -> None:
     """Draw a variable, or the third objective, as the colour of the points over the first two objectives."""
-    from matplotlib.colors import LogNorm, Normalize
-
     values = _values(front, axis)
     places = _places(front, front.points)
     low, high = _range(axis, values, front.display(axis).factor)
-    norm = LogNorm(low, high) if axis.log else Normalize(low, high)
-    drawn = axes.scatter(places[:, 0], places[:, 1], c=values, norm=norm, cmap="viridis", s=22)
+    scale = "log" if axis.log else "linear"
+    drawn = axes.scatter(places[:, 0], places[:, 1], c=values, norm=scale, vmin=low, vmax=high, cmap="viridis", s=22)
     figure = axes.get_figure()
     assert figure is not None  # panels are drawn on one
     bar = figure.colorbar(drawn, ax=axes, pad=0.02)

@@ -267,8 +267,7 @@ class RecordWaves:
         for number, one in enumerate(self.found, start=1):
             label = f"{number}: {one.wave.wavelength:.3g} m, amplitude {one.wave.amplitude:.2g}"
             axes.axvline(float(one.wave.wavelength), color=COLOURS[1], lw=1.0, ls=(0, (4, number)), label=label)
-        axes.set_xlabel("wavelength [m]")
-        axes.set_ylabel("spectrum of relative strength [m/rad]")
+        axes.set(xlabel="wavelength [m]", ylabel="spectrum of relative strength [m/rad]")
         axes.legend(fontsize=8)
         return written(figure, path)
 

@@ -94,7 +94,12 @@ class NamedScene:
     symbols: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._check_symbols()
+        if self.symbols and not self._expressions:
+            raise InputError(f"the scene does not hold the symbol of input '{next(iter(self.symbols))}': it is numeric")
+        known = {hash(symbol) for symbol in self.symbols.values()}
+        present = [symbol for one in self._expressions if is_symbolic(one) for symbol in ca.symvar(one)]
+        if others := {symbol.name() for symbol in present if hash(symbol) not in known}:
+            raise InputError(f"the scene holds symbols that are not inputs, {', '.join(sorted(others))}: make each one")
         if self.steel_density is None:
             return
         if holds_casadi((self.scene.mass, self.scene.share)):
@@ -104,15 +109,6 @@ class NamedScene:
         if self.scene.mass < (1.0 - _MASS_ROUNDING) * share:
             given = f"a share of {self.steel_density:.6g} kg/m^3 has {share:.6g} kg, more than the whole moving mass"
             raise InputError(f"{given} of {self.scene.mass:.6g} kg: give both together, or leave steel_density out")
-
-    def _check_symbols(self) -> None:
-        """Raise InputError unless the given symbols are exactly those in scene and duration."""
-        if self.symbols and not self._expressions:
-            raise InputError(f"the scene does not hold the symbol of input '{next(iter(self.symbols))}': it is numeric")
-        given = {hash(symbol) for symbol in self.symbols.values()}
-        present = [symbol for one in self._expressions if is_symbolic(one) for symbol in ca.symvar(one)]
-        if others := {symbol.name() for symbol in present if hash(symbol) not in given}:
-            raise InputError(f"the scene holds symbols that are not inputs, {', '.join(sorted(others))}: make each one")
 
     @cached_property
     def _expressions(self) -> list[Any]:

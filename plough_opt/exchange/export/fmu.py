@@ -54,7 +54,7 @@ _TOLERANCE: Final = 1e-8
 # Base units: FMI's symbol -> pint's name.
 _BASE_UNITS: Final = {"kg": "kilogram", "m": "meter", "s": "second", "rad": "radian"}
 _NAME: Final = re.compile(r"[A-Za-z_]\w{0,62}", re.ASCII)
-_SYSTEMS: Final = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "windows": ("windows", ".dll")}
+_SUFFIXES: Final = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 _PROCESSORS: Final = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 # A longer source (in characters) is compiled without optimisation, which would take minutes. Only a density profile
 # makes one so long, and it is evaluated once in a run.
@@ -637,10 +637,9 @@ def _numeric(scene: Scene) -> Scene:
 def _platform() -> tuple[str, str]:
     """Return folder and suffix of binaries for this machine, as FMI 3.0 names them."""
     system, processor = platform.system().lower(), platform.machine().lower()
-    if system not in _SYSTEMS or processor not in _PROCESSORS:
+    if system not in _SUFFIXES or processor not in _PROCESSORS:
         raise InputError(f"FMI 3.0 does not define binaries for {system} on {processor}: use binary=False (--sources)")
-    word, suffix = _SYSTEMS[system]
-    return f"{_PROCESSORS[processor]}-{word}", suffix
+    return f"{_PROCESSORS[processor]}-{system}", _SUFFIXES[system]
 
 
 def _compiled(source: str) -> bytes:

@@ -467,11 +467,11 @@ def explored(report: Report, model: PageModel) -> dict[str, Any]:
     every = measures_of(problem.table)
     results = [
         one | shown_in(report.display(one["name"], one["unit"], float(every[one["name"]].of(report.run))))
-        for one in model.data["results"] if one["name"] in every
+        if one["name"] in every else one for one in model.data["results"]
     ]  # fmt: skip
     return {
         **model.data,
-        "results": [one for one in model.data["results"] if one["name"] not in every] + results,
+        "results": results,
         "best": best.variables if best else knee.variables if knee else {},
         "known": "best" if best else _place_of(report.front) if report.front else "file",
         "marks": [

@@ -145,7 +145,10 @@ def cvar(values: Column, level: float, *, width: Expression = 0.0) -> Column:
     column = _column(values)
     tail = 1.0 - level
     if not _is_smoothed("CVaR", column, width):
-        return _exact_cvar(np.asarray(column, dtype=float), tail)
+        # The last of the largest values has the fractional weight that is left.
+        descending = np.sort(np.asarray(column, dtype=float))[::-1]
+        weights = np.clip(tail * len(descending) - np.arange(len(descending)), 0.0, 1.0)
+        return float(weights @ descending / np.sum(weights))
     scaled = column / width
     t = _threshold(scaled, tail)
     above = scaled - t
@@ -296,13 +299,6 @@ def _largest(column: Column, number: int) -> Column:
             apart //= 2
         size *= 2
     return values[count - number]
-
-
-def _exact_cvar(values: np.ndarray, part: float) -> float:
-    """Return the mean of the largest part of the values; the last of them has the fractional weight that is left."""
-    descending = np.sort(values)[::-1]
-    weights = np.clip(part * len(descending) - np.arange(len(descending)), 0.0, 1.0)
-    return float(weights @ descending / np.sum(weights))
 
 
 def _is_smoothed(what: str, column: Column, width: Expression) -> bool:

@@ -352,7 +352,7 @@ class _Command:
     reads: bool = True  # a problem file, which may be changed by --set
 
     def arguments(self, name: str, verb: _Parser) -> None:
-        """Add the arguments of the command to its parser, and the function that runs it."""
+        """Add the arguments of the command to its parser, and the module and function that run it."""
         how_much = verb.add_mutually_exclusive_group()
         how_much.add_argument("-q", "--quiet", action="store_true", help="hide progress, notes and names of written"
                               " files")  # fmt: skip
@@ -364,11 +364,7 @@ class _Command:
             change = 'change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable'
             verb.option("set", 'KEY="VALUE"', change, action="append", default=[])
         self.add(verb)
-        verb.set_defaults(run=partial(self.run, name))
-
-    def run(self, name: str, options: argparse.Namespace) -> None:
-        """Import the module and run the command."""
-        getattr(import_module(f"plough_opt.app.{self.module}"), name)(options)
+        verb.set_defaults(module=f"plough_opt.app.{self.module}", function=name)
 
 
 _COMMANDS: Final = {
@@ -431,7 +427,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     try:
         with interruptible(), without_notices(), messages(options):
-            options.run(options)
+            getattr(import_module(options.module), options.function)(options)
         if sys.stdout is not None:  # None if the parent process closed it
             sys.stdout.flush()
     except (InputError, DomainError) as error:
@@ -480,4 +476,4 @@ def _complain(kind: str, error: object) -> None:
     """Print an error on the error stream."""
     from plough_opt.core.screen import Screen
 
-    Screen(stderr=True).print_labelled(f"{kind}:", "bold red", str(error), soft_wrap=True)
+    Screen(stderr=True).print_labelled(f"{kind}:", "bold red", str(error))

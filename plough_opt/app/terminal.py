@@ -197,7 +197,7 @@ def print_page(to: Screen, page: Page) -> None:
     for part in page.parts:
         to.print(part, soft_wrap=isinstance(part, str))
     for note in dict.fromkeys(page.notes):
-        to.print_labelled("Note:", "yellow", f"{note}.", soft_wrap=True)
+        to.print_labelled("Note:", "yellow", f"{note}.")
     if page.footer:
         to.print(page.footer, soft_wrap=True)
 

@@ -20,9 +20,9 @@ class Screen(Console):
         """Set further options of rich's console, such as ``stderr``."""
         super().__init__(markup=False, emoji=False, highlight=False, **options)
 
-    def print_labelled(self, label: str, style: str, text: str, *, soft_wrap: bool = False) -> None:
-        """Print a text after a label in a style."""
-        self.print(Text.assemble((printable(label), style), " ", printable(text)), soft_wrap=soft_wrap)
+    def print_labelled(self, label: str, style: str, text: str) -> None:
+        """Print a text after a label in a style, without breaking its lines."""
+        self.print(Text.assemble((printable(label), style), " ", printable(text)), soft_wrap=True)
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Return a string as rich's text, which would drop some control characters."""

@@ -262,9 +262,11 @@ def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
         kinds: kinds of results that it may hold -> class.
 
     Raises:
-        InputError: the file does not exist, or holds another kind or layout.
+        InputError: the file does not exist, is the store of a sweep, or holds another kind or layout.
     """
     path = path_of("the result", path)
+    if is_store(path):
+        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: read it with po.Sweep.load")
     text = read_text(path, "a saved result", ".json", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
     try:
         return _result_of(_parsed(text), kinds)
@@ -349,9 +351,6 @@ def load(path: str | Path) -> Any:
     """
     from pkgutil import resolve_name
 
-    path = path_of("the result", path)
-    if is_store(path):
-        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: read it with po.Sweep.load")
     classes: list[type[Saveable]] = [resolve_name(f"plough_opt.{path}") for path in _CLASSES]
     return read_result(path, {kind.kind: kind for kind in classes})
 

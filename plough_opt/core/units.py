@@ -265,10 +265,6 @@ class Display:
         """Return a result, SI, in this unit as text."""
         return self.text(value, RESULT_DIGITS)
 
-    def number(self, value: float) -> str:
-        """Return an SI value in this unit as text, without the unit's symbol."""
-        return f"{value / self.factor:.5g}"
-
     def heading(self, name: str) -> str:
         """Return a column heading for values in this unit."""
         return f"{name} [{self.symbol}]" if self.symbol else name

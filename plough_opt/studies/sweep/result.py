@@ -7,6 +7,7 @@ import re
 import weakref
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
@@ -78,7 +79,7 @@ class Extreme:
     values: dict[str, float]
 
 
-class Sweep(Readable):
+class Sweep(Readable, AbstractContextManager["Sweep"]):
     """The points of a sweep with their results, read from the store on demand.
 
     Attributes:
@@ -145,9 +146,6 @@ class Sweep(Readable):
             >>> swept.close()
         """
         self._store.close()
-
-    def __enter__(self) -> Sweep:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -435,7 +435,7 @@ def _table(front: TradeOff, everywhere: Sequence[str]) -> Grid:
     for axis, values in front.columns:
         display = front.display(axis)
         heading = display.heading(called(axis.name)).replace(" ", between)
-        columns.append((Column(heading, fold=True), [display.number(x) for x in values.tolist()]))
+        columns.append((Column(heading, fold=True), [f"{x / display.factor:.5g}" for x in values.tolist()]))
     for head, pair in zip(heads, pairs, strict=True):
         costs = (front.cost(k, *pair) for k in range(len(front.points)))
         texts = ["" if cost is None else f"{cost:.3g}" for cost in costs]

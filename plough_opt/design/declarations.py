@@ -201,12 +201,8 @@ class Requirement:
 
     def limits_text(self) -> str:
         """Return the limits in words."""
-        parts = [
-            f"{word} {self.shown.text(limit, 6)}"
-            for word, limit in (("at least", self.at_least), ("at most", self.at_most))
-            if limit is not None
-        ]
-        return " and ".join(parts)
+        sides = (("at least", self.at_least), ("at most", self.at_most))
+        return " and ".join(f"{word} {self.shown.text(limit, 6)}" for word, limit in sides if limit is not None)
 
     def margins(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the distance of each value from its limit, positive inside the limits."""

@@ -92,11 +92,9 @@ class Search(ByValue):
         if self.slow:
             text += f" ({self.slow}: with a compiler the search would take a fraction of the time)"
         if self.unseen_basins is None:
-            why = (
-                f"{self.followed} random designs, which led to {self.reached} of them, are too few"
-                if self.followed
-                else "no random design was followed to its basin"
-            )
+            why = "no random design was followed to its basin"
+            if self.followed:
+                why = f"{self.followed} random designs, which led to {self.reached} of them, are too few"
             return f"{text}. The number of further basins cannot be estimated: {why}."
         return (
             f"{text}. {self.followed} random designs led to {self.reached} of them, so about"
@@ -448,13 +446,10 @@ class Optimum(LocalOptimum):
 
     def _free(self, direction: Mapping[str, float]) -> str:
         """Return a sentence about a flat direction."""
-        moves = ", ".join(
-            f"{name} {'+' if change > 0 else '-'}{self.display(name).text(abs(change), 3)}"
-            for name, change in direction.items()
-            if change
-        )
-        fix = "this variable" if sum(map(bool, direction.values())) == 1 else "one of these variables"
-        return f"The optimum is not unique: nothing changes along {moves}. Fix {fix}."
+        changed = {name: change for name, change in direction.items() if change}
+        moves = (f"{name} {'+' if x > 0 else '-'}{self.display(name).text(abs(x), 3)}" for name, x in changed.items())
+        fix = "this variable" if len(changed) == 1 else "one of these variables"
+        return f"The optimum is not unique: nothing changes along {', '.join(moves)}. Fix {fix}."
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a table with a row for each local optimum, best first: objective and variables in SI units.

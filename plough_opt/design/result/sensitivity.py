@@ -91,11 +91,8 @@ class Sensitivity:
         moves = [_percent("the objective", self.elasticity, self.objective, self.unit)]
         moves += [_percent(n, self.elasticities[n], self.variables[n], self.unit) for n in self.variables]
         text = f"{self.name} = {in_words(self.value, self.unit)}; one per cent more changes {', '.join(moves)}"
-        ends = [
-            f"{side} {in_words(end, self.unit)}, where {then}"
-            for side, end, then in (("down to", self.valid_from, self.then[0]), ("up to", self.valid_to, self.then[1]))
-            if end is not None
-        ]
+        sides = (("down to", self.valid_from, self.then[0]), ("up to", self.valid_to, self.then[1]))
+        ends = [f"{side} {in_words(end, self.unit)}, where {then}" for side, end, then in sides if end is not None]
         text += f". The same limits decide {' and '.join(ends) if ends else 'whatever its value'}, to first order."
         if self.touching:
             met = ", ".join(self.touching)

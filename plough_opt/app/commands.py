@@ -100,9 +100,8 @@ def check(options: argparse.Namespace) -> None:
     page = tables.check_page(problem)
     plot: Callable[[], Figure] | None = None if problem.shares else lambda: drawn("plot_share", problem.scene())
     units = [EVERY[key if key in EVERY else key.partition(".")[2]].unit for key in values]
-    frame: Callable[[], Any] = partial(
-        data_frame, {"quantity": [*values], "value": [*values.values()], "unit": units}, {}
-    )
+    columns = {"quantity": [*values], "value": [*values.values()], "unit": units}
+    frame: Callable[[], Any] = partial(data_frame, columns, {})
     if options.effects:
         with progress() as notify:
             notify("measuring the effects", 0.0)

@@ -469,11 +469,6 @@ _DIGITS: Final = {6.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 60.0: (1.0, 2.0, 5.0
 _LEAST: Final = 1e-19
 
 
-def style_of(method: str, number: int) -> dict[str, Any]:
-    """Return colour and marker of a method; ``number`` tells those apart that no other study has."""
-    return line_style(_METHODS.index(method) if method in _METHODS else len(_METHODS) + number)
-
-
 def draw(axes: Axes, study: AccuracyStudy, question: Question) -> None:
     """Draw error against time of a question's entries, each method with a label for a legend."""
     entries, floor = study.of(question), study.floors[question.reference]
@@ -483,7 +478,8 @@ def draw(axes: Axes, study: AccuracyStudy, question: Question) -> None:
 
     for number, method in enumerate(dict.fromkeys(entry.method for entry in entries)):
         chosen = sorted((e for e in entries if e.method == method), key=lambda e: -e.errors[question.error])
-        axes.plot(*points(chosen), linewidth=1.0, markersize=5.5, zorder=3, label=method, **style_of(method, number))
+        style = line_style(_METHODS.index(method) if method in _METHODS else len(_METHODS) + number)
+        axes.plot(*points(chosen), linewidth=1.0, markersize=5.5, zorder=3, label=method, **style)
     axes.step(*points(study.front(question), max(floor, _LEAST)), where="post", color=_FRONT, linewidth=6.0, alpha=0.75,
               zorder=1, solid_capstyle="round", label="efficient front")  # fmt: skip
     default = [entry for entry in entries if (entry.method, entry.setting) == question.default]

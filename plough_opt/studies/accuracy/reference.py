@@ -9,7 +9,7 @@ nonlinear ordinary differential equations in Chebyshev series, Computer Journal 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, Final, TypeAlias
@@ -18,8 +18,10 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from plough_opt.core.compiler import instructions
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.motion import Run, simulate
+from plough_opt.motion.batch.series import EXPRESSIONS, Interpreter
 from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, equation_of, lightest_mass, parameters
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.run import assemble
@@ -93,17 +95,8 @@ _EVENT_DEGREE = 48
 # Parts of each subdivision of the interval around an event, and subdivisions: enough for one unit in the last place.
 _PARTS, _SUBDIVISIONS = 32, 14
 
-_OPERATIONS: Final[dict[int, Callable[..., LongDouble]]] = {
-    ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply, ca.OP_DIV: np.divide, ca.OP_NEG: np.negative,
-    ca.OP_SQ: np.square, ca.OP_TWICE: lambda x: x + x, ca.OP_INV: lambda x: 1 / x, ca.OP_SQRT: np.sqrt,
-    ca.OP_POW: np.power, ca.OP_CONSTPOW: np.power, ca.OP_EXP: np.exp, ca.OP_LOG: np.log, ca.OP_EXPM1: np.expm1,
-    ca.OP_LOG1P: np.log1p, ca.OP_SIN: np.sin, ca.OP_COS: np.cos, ca.OP_TAN: np.tan, ca.OP_ASIN: np.arcsin,
-    ca.OP_ACOS: np.arccos, ca.OP_ATAN: np.arctan, ca.OP_ATAN2: np.arctan2, ca.OP_SINH: np.sinh, ca.OP_COSH: np.cosh,
-    ca.OP_TANH: np.tanh, ca.OP_ASINH: np.arcsinh, ca.OP_FABS: np.abs, ca.OP_SIGN: np.sign, ca.OP_FMIN: np.minimum,
-    ca.OP_FMAX: np.maximum, ca.OP_LT: np.less, ca.OP_LE: np.less_equal, ca.OP_EQ: np.equal, ca.OP_NE: np.not_equal,
-    ca.OP_NOT: np.logical_not, ca.OP_AND: np.logical_and, ca.OP_OR: np.logical_or,
-    ca.OP_IF_ELSE_ZERO: lambda condition, value: np.where(condition, value, LONGDOUBLE(0)),
-}  # fmt: skip
+# Operations that NumPy has for the widest floats: all but the error function, which is SciPy's.
+_OPERATIONS: Final = {*EXPRESSIONS, ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT} - {ca.OP_ERF}
 
 # --- errors and estimates of errors ---
 
@@ -241,10 +234,11 @@ def _graphs(structure: Structure) -> tuple[dict[str, LongDoubleGraph], tuple[str
     at = [time, state, p]
     graphs = {
         "rates": in_long_double(at, [equation.rate(*at)]),
-        "events": in_long_double(at, [] if equation.events is None else list(equation.events(*at))),
         "signals": in_long_double(at, [equation.signals(*at)]),
         "start": in_long_double([p], [equation.start(p)]),
     }
+    if equation.events is not None:
+        graphs["events"] = in_long_double(at, [*equation.events(*at)])
     return graphs, equation.names
 
 
@@ -499,31 +493,18 @@ def in_long_double(arguments: Sequence[ca.SX], results: Sequence[Any]) -> LongDo
     Raises:
         InputError: the graph has an operation without a counterpart here, such as the lookup in a table.
     """
-    graph = ca.Function("graph", list(arguments), [ca.densify(ca.SX(result)) for result in results])
-    steps = []
-    for k in range(graph.n_instructions()):
-        kind = graph.instruction_id(k)
-        if kind not in _OPERATIONS and kind not in (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT):
-            raise InputError("an effect of your own uses a function that wide floats cannot compute, such as a table")
-        constant = LONGDOUBLE(graph.instruction_constant(k)) if kind == ca.OP_CONST else None
-        steps.append((kind, graph.instruction_input(k), graph.instruction_output(k), constant))
-    rows = [graph.nnz_out(k) for k in range(graph.n_out())]
+    columns = [ca.vec(ca.densify(ca.SX(result))) for result in results]
+    graph = ca.Function("graph", list(arguments), [ca.vertcat(*columns)])
+    if not {code for code, *_ in instructions(graph)} <= _OPERATIONS:
+        raise InputError("an effect of your own uses a function that wide floats cannot compute, such as a table")
+    interpreter = Interpreter(graph)
+    ends = np.cumsum([column.numel() for column in columns])[:-1]
 
-    def evaluate(*given: Iterable[LongDouble]) -> list[LongDouble]:
-        elements = [list(argument) for argument in given]
-        places = max(np.size(element) for argument in elements for element in argument)
-        work: list[LongDouble] = [None] * graph.sz_w()
-        results_at = [np.zeros((count, places), LONGDOUBLE) for count in rows]
-        for kind, sources, targets, constant in steps:
-            if kind == ca.OP_CONST:
-                work[targets[0]] = constant
-            elif kind == ca.OP_INPUT:
-                work[targets[0]] = elements[sources[0]][sources[1]]
-            elif kind == ca.OP_OUTPUT:
-                results_at[targets[0]][targets[1]] = work[sources[0]]
-            else:
-                work[targets[0]] = _OPERATIONS[kind](*(work[source] for source in sources))
-        return results_at
+    def evaluate(*given: Sequence[LongDouble]) -> list[LongDouble]:
+        places = max(np.size(element) for argument in given for element in argument)
+        found = np.empty((graph.numel_out(0), places), LONGDOUBLE)
+        interpreter.evaluate(*given, found)
+        return np.split(found, ends)
 
     return evaluate
 

@@ -86,7 +86,7 @@ def test_a_point_that_kills_three_workers_is_undetermined_until_a_retry(tmp_path
         assert (found.failed, list(found.failures), found.complete) == (0, [], True)
         expected = [math.nan if a == 5.0 else 2.0 * math.sin(a) for a in range(8)]
         np.testing.assert_array_equal(found.column("sine"), expected)
-        assert "\n5,5.0,,,undetermined: 3 workers" in found.to_csv(tmp_path / "t.csv").read_text()
+        assert '\n"5","5.0","","","undetermined: 3 workers' in found.to_csv(tmp_path / "t.csv").read_text()
         with np.load(found.to_npz(tmp_path / "t.npz")) as arrays:
             assert (arrays["undetermined"].tolist(), arrays["failed"].tolist()) == ([5], [])
     # Two deaths of the whole task, three on the way to a single point at most, and three alone.

@@ -427,19 +427,14 @@ def _limited(seconds: float, process: subprocess.Popen[bytes]) -> Iterator[None]
     Raises:
         OutOfTime: the process was killed for this reason.
     """
-    late = threading.Event()
-
-    def end() -> None:
-        late.set()
-        process.kill()
-
-    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), end)
+    end = time.monotonic() + seconds
+    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), process.kill)
     timer.daemon = True
     timer.start()
     try:
         yield
     except (OSError, EOFError):
-        if late.is_set():
+        if time.monotonic() >= end:
             why = f"no result after {seconds:g} s, so its worker was ended"
             raise OutOfTime(f"{why}: set a longer limit (--limit, limit=...)") from None
         raise

@@ -23,14 +23,14 @@ from plough_opt.core.expressions import as_number
 from plough_opt.core.plain_data import Array
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.effects import HarmonicBalance, StickSlip
-from plough_opt.motion.equation import Structure, equation_of
+from plough_opt.motion.equation import Structure
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS, ORDER_8, Accuracy, adaptive, fixed_step
 from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import quasi_static
 from plough_opt.motion.solvers.checks import refuse_missed_event
 from plough_opt.motion.solvers.compiled_steps import compiled_steps
-from plough_opt.motion.solvers.integrators import integration
+from plough_opt.motion.solvers.integrators import Case, integration
 from plough_opt.motion.solvers.plan import most_steps, numbers_of, phase, rates_of, steps_for, timeline_of, with_setting
 from plough_opt.studies.accuracy.reference import AVERAGES, QUANTITIES, Reference, ReferenceGradient, errors_of
 from plough_opt.studies.accuracy.result import AUTO, BARE, COMPILED, MACHINE_CODE, MethodResult, efficient, error_text
@@ -364,23 +364,19 @@ def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple
         accuracy: the method with its setting.
         compiled: whether to take steps of order 8 in machine code.
     """
-    scene, structure, numbers = task.scene, Structure.of(task.scene), numbers_of(task.scene)
-    steps = accuracy.steps or most_steps(phase(numbers, task.duration))
-    timeline = timeline_of(scene, task.duration, task.outputs, steps, accuracy.method)
-    code = compiled_steps(structure) if compiled else None
-    once: Use
-    if code is not None:
-        once = partial(code, timeline, [*(numbers[name] for name in equation_of(structure).names), task.duration])
+    case = Case.of(task.scene, task.duration, task.outputs, compiled=compiled)
+    timeline = case.timeline(task.outputs, accuracy, most_steps(case.phase))
+    if case.code is not None:
+        once: Use = partial(case.code, timeline, case.column)
     else:
-        solver = integration(structure, accuracy, timeline)
-        once = partial(solver.function.call, [ca.DM([*(numbers[name] for name in solver.names), task.duration])])
+        once = partial(integration(case.structure, accuracy, timeline).function.call, [ca.DM(case.column)])
 
     def run() -> Run:
         states, means, variances = _finite(once())
-        states = states.T if code is None else states
+        states = states.T if case.code is None else states
         fractions = timeline.output_fractions
-        motion = assemble(scene, task.duration, fractions, states, means.ravel(), variances.ravel(), accuracy)
-        if isinstance(scene.effects.contact, StickSlip):
+        motion = assemble(task.scene, task.duration, fractions, states, means.ravel(), variances.ravel(), accuracy)
+        if isinstance(task.scene.effects.contact, StickSlip):
             refuse_missed_event(motion)
         return motion
 

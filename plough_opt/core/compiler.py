@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from string import Template
-from typing import Final
+from typing import Any, Final
 
 import casadi as ca
 
@@ -140,6 +140,23 @@ def library(source: str, variants: tuple[Variant, ...], symbols: Sequence[str] =
             failure = failure or f"compiled code cannot be stored or loaded ({error})"
     _failure = failure
     return None
+
+
+def loaded(source: str, variants: tuple[Variant, ...], arguments: Mapping[str, Sequence[Any]]) -> ctypes.CDLL | None:
+    """Return the library compiled from a C source, to be called; None if there is none: see `compiler_problem`.
+
+    Args:
+        source: the C source.
+        variants: as in `library`.
+        arguments: function that the library must have -> types of its arguments.
+    """
+    path = library(source, variants, tuple(arguments))
+    if path is None:
+        return None
+    found = ctypes.CDLL(str(path))
+    for name, types in arguments.items():
+        getattr(found, name).argtypes = types
+    return found
 
 
 def _compile(

@@ -5,12 +5,11 @@ from contextlib import suppress
 from ctypes import CDLL, c_int64, c_void_p
 from functools import lru_cache
 from string import Template
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.compiler import instructions, library, operations, variants
+from plough_opt.core.compiler import instructions, loaded, operations, variants
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import text_of
 from plough_opt.core.plain_data import Array
@@ -50,7 +49,7 @@ def _by_map(function: ca.Function) -> Callable[[list[Array]], list[Array]]:
 
 def _in_vectors(function: ca.Function) -> Callable[[list[Array]], list[Array]] | None:
     """Return the evaluation by the library; None without it, or if it lacks an operation."""
-    if not function.is_a("SXFunction") or (evaluate := _library()) is None:
+    if not function.is_a("SXFunction") or (library := _library()) is None:
         return None
     rows, constants = _listed(function)
     if not {code for code, *_ in rows} <= _CODES:
@@ -66,7 +65,7 @@ def _in_vectors(function: ca.Function) -> Callable[[list[Array]], list[Array]] |
         results = [np.empty((count, size)) for size in given]
         at = places(*[array.ctypes.data for array in (*arguments, *results)])
         listed = [array.ctypes.data for array in program]
-        evaluate(count, len(rows), *listed, len(taken), at, memory.ctypes.data)
+        library.rows(count, len(rows), *listed, len(taken), at, memory.ctypes.data)
         return results
 
     return call
@@ -94,18 +93,13 @@ def _listed(function: ca.Function) -> tuple[list[tuple[int, int, int, int]], lis
 
 
 @lru_cache(maxsize=1)
-def _library() -> Any:
-    """Return the function of `rows.c`, or None without a compiler or if ``$CC`` is not a command."""
+def _library() -> CDLL | None:
+    """Return the library of `rows.c`, or None without a compiler or if ``$CC`` is not a command."""
     cases = "\n".join(f"        case {code}: OF_PARTS({result})" for code, result in operations("a[k]", "b[k]"))
     own = Template(text_of(__package__, "rows.c")).substitute(
         wide=_WIDE, input=ca.OP_INPUT, output=ca.OP_OUTPUT, constant=ca.OP_CONST, cases=cases
     )
-    path = None
+    arguments = [c_int64, c_int64, *[c_void_p] * 3, c_int64, *[c_void_p] * 2]
     with suppress(InputError):
-        path = library(text_of("plough_opt.core", "vectors.c") + own, variants("-O2"), ("rows",))
-    if path is None:
-        return None
-    evaluate = CDLL(str(path)).rows
-    evaluate.argtypes = [c_int64, c_int64, *[c_void_p] * 3, c_int64, *[c_void_p] * 2]
-    evaluate.restype = None
-    return evaluate
+        return loaded(text_of("plough_opt.core", "vectors.c") + own, variants("-O2"), {"rows": arguments})
+    return None

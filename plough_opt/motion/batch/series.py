@@ -31,7 +31,7 @@ from plough_opt.core.compiler import (
     Phase,
     c_source,
     instructions,
-    library,
+    loaded,
     name_of,
     variants,
 )
@@ -406,9 +406,11 @@ class Engine:
         """
         self._functions, self._phases = functions, phases
         self._compiled = {name: one for name, one in functions.items() if one.is_a("SXFunction")}
-        path = library(c_source(self._compiled, phases, parameters), _BATCH_VARIANTS, (*self._compiled, "run"))
-        self.compiled = path is not None
-        self._library = None if path is None else ctypes.CDLL(str(path))
+        whole, address = ctypes.c_int64, ctypes.c_void_p
+        arguments: dict[str, tuple[Any, ...]] = dict.fromkeys(self._compiled, (whole, address, address))
+        arguments["run"] = (whole, whole, *[address] * 4, ctypes.c_double)
+        self._library = loaded(c_source(self._compiled, phases, parameters), _BATCH_VARIANTS, arguments)
+        self.compiled = self._library is not None
 
     def evaluate(self, name: str, rows: Array) -> Array:
         """Return the results of a Function, a row each."""
@@ -416,9 +418,7 @@ class Engine:
             return np.asarray(self._functions[name].map(rows.shape[1])(rows))
         rows = np.ascontiguousarray(rows)
         results = np.empty((self._compiled[name].numel_out(), rows.shape[1]))
-        function = getattr(self._library, name)
-        function.restype = None
-        function(ctypes.c_int64(rows.shape[1]), _pointer(rows), _pointer(results))
+        getattr(self._library, name)(rows.shape[1], rows.ctypes.data, results.ctypes.data)
         return results
 
     def run(self, p: Array, states: Array, order: NDArray[np.int64], most: int) -> Array:
@@ -434,9 +434,8 @@ class Engine:
         if self._library is None:
             self._run_by_numpy(p, states, order, most, taken)
             return taken
-        self._library.run.restype = None
-        counts = ctypes.c_int64(p.shape[1]), ctypes.c_int64(len(order))
-        self._library.run(*counts, *map(_pointer, (order, p, states, taken)), ctypes.c_double(most))
+        arrays = [array.ctypes.data for array in (order, p, states, taken)]
+        self._library.run(p.shape[1], len(order), *arrays, most)
         return taken
 
     def _run_by_numpy(self, p: Array, states: Array, order: NDArray[np.int64], most: int, taken: Array) -> None:
@@ -448,10 +447,6 @@ class Engine:
                     while len(which := which[(states[0, which] < p[end, which]) & (taken[which] < most)]):
                         states[:, which] = interpreted(states[:, which], p[:, which])
                         taken[which] += 1.0
-
-
-def _pointer(array: NDArray[np.generic]) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
 
 
 def _error_function(x: Array) -> Array:

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.compiler import Statements, library, variants
+from plough_opt.core.compiler import Statements, loaded, variants
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import text_of
 from plough_opt.motion.equation import Equation, Structure, equation_of
@@ -96,10 +96,8 @@ class CompiledSteps:
         """
         outputs, averages = timelines[0].outputs, self.equation.averages
         given, (tables, _) = [*self._given(p, *timelines), *known], _tables(timelines)
-        work, count = (
-            np.empty(len(given) + _room(given[len(p) + 2]) + 4 * (outputs + 1) + 2 * averages),
-            _ROWS * (outputs + 1),
-        )
+        count = _ROWS * (outputs + 1)
+        work = np.empty(len(given) + _room(given[len(p) + 2]) + 4 * (outputs + 1) + 2 * averages)
         work[: len(given)] = given
         found = np.empty(count + 2 * (averages + _ROWS))
         at = work.ctypes.data
@@ -152,16 +150,13 @@ def compiled_steps(structure: Structure) -> CompiledSteps | None:
 
     Without a compiler, or if an own effect has an operation without a vector form, the result is None.
     """
+    whole, address = ctypes.c_int64, ctypes.c_void_p
+    arguments = {"steps": [whole, address, whole, *[address] * 5], "pair": [address, whole, *[address] * 5]}
     try:
-        path = library(source_of(structure), _STEPS_VARIANTS, ("steps", "pair"))
+        library = loaded(source_of(structure), _STEPS_VARIANTS, arguments)
     except InputError:
         return None
-    if path is None:
-        return None
-    loaded, whole, address = ctypes.CDLL(str(path)), ctypes.c_int64, ctypes.c_void_p
-    loaded.steps.argtypes = [whole, address, whole, *[address] * 5]
-    loaded.pair.argtypes = [address, whole, *[address] * 5]
-    return CompiledSteps(equation_of(structure), loaded)
+    return None if library is None else CompiledSteps(equation_of(structure), library)
 
 
 def source_of(structure: Structure) -> str:

@@ -26,7 +26,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -193,12 +193,17 @@ def _compile(
 
 def in_machine_code(functions: Sequence[ca.Function], variants: tuple[Variant, ...]) -> list[ca.Function] | None:
     """Return functions in machine code, or None if there is no library: see `library`."""
-    generator = ca.CodeGenerator("functions.c")
+    names = [function.name() for function in functions]
+    path = library(code_of("functions", functions), variants, names)
+    return None if path is None else [ca.external(name, str(path)) for name in names]
+
+
+def code_of(name: str, functions: Iterable[ca.Function], **options: Any) -> str:
+    """Return the C code that CasADi generates for Functions; a name precedes its internal symbols."""
+    generator = ca.CodeGenerator(f"{name}.c", options)
     for function in functions:
         generator.add(function)
-    names = [function.name() for function in functions]
-    path = library(generator.dump(), variants, names)
-    return None if path is None else [ca.external(name, str(path)) for name in names]
+    return str(generator.dump())
 
 
 def compile_library(source: str, command: Sequence[str], into: Path, libraries: Sequence[str]) -> str | None:

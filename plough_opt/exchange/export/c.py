@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.compiler import code_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import Content, check_file, check_new_folder, text_of, write_files, write_folder
 from plough_opt.exchange.component import RELAXATION, Component, Port, corner_points, interior_points
@@ -121,10 +122,7 @@ def _casadi_code(name: str, functions: Collection[ca.Function]) -> str:
     """
     if any(inner.class_name() == "Newton" for function in functions for inner in function.find_functions()):
         raise InputError("CasADi writes no periodic orbit as C: export to casadi, or use orbit = 'linearised'")
-    generator = ca.CodeGenerator(f"{name}_graph.c")
-    for function in functions:
-        generator.add(function)
-    return str(generator.dump())
+    return code_of(f"{name}_graph", functions)
 
 
 def _test(component: Component, functions: Mapping[str, ca.Function]) -> str:

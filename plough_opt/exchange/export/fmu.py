@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_choice
-from plough_opt.core.compiler import NOT_FOUND, compile_library, find_compiler
+from plough_opt.core.compiler import NOT_FOUND, code_of, compile_library, find_compiler
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, is_casadi, is_quantity, is_symbolic, map_expressions, template_of
 from plough_opt.core.files import check_file, text_of, write_file
@@ -495,10 +495,8 @@ def c_source(model: FmuModel, *, pushes: bool, by_speed: bool) -> tuple[str, str
         by_speed: whether the strut's speed is the input.
     """
     # CasADi's functions are static: only the runtime in the same source calls them.
-    generator = ca.CodeGenerator("share.c", {"with_header": False, "main": False, "casadi_int": "long long"})
-    for function in model.functions.values():
-        generator.add(function)
-    equations = f"#define CASADI_SYMBOL_EXPORT static\n{generator.dump()}"
+    code = code_of("share", model.functions.values(), casadi_int="long long")
+    equations = f"#define CASADI_SYMBOL_EXPORT static\n{code}"
     parts = (_constants(model, pushes, by_speed), equations, text_of(__package__, "fmu_runtime.c"))
     # The token covers what is computed; names and units are in the description only.
     token = hashlib.sha256("".join(parts).encode()).hexdigest()[:32]

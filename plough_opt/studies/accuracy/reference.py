@@ -228,17 +228,11 @@ def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradien
 
 @lru_cache(maxsize=8)
 def _graphs(structure: Structure) -> tuple[dict[str, LongDoubleGraph], tuple[str, ...]]:
-    """Return a structure's rates, events, signals and start in wide floats, and the names of their parameters."""
+    """Return a structure's rate, signals, start and events in wide floats, and the names of their parameters."""
     equation = equation_of(structure)
-    p, time, state = ca.SX.sym("p", len(equation.names)), ca.SX.sym("time"), ca.SX.sym("state", equation.states)
-    at = [time, state, p]
-    graphs = {
-        "rates": in_long_double(at, [equation.rate(*at)]),
-        "signals": in_long_double(at, [equation.signals(*at)]),
-        "start": in_long_double([p], [equation.start(p)]),
-    }
+    graphs = {name: in_long_double(getattr(equation, name)) for name in ("rate", "signals", "start")}
     if equation.events is not None:
-        graphs["events"] = in_long_double(at, [*equation.events(*at)])
+        graphs |= {name: in_long_double(equation.events, k) for k, name in enumerate(("zero", "after"))}
     return graphs, equation.names
 
 
@@ -287,15 +281,15 @@ class Motion:
             self.kinks = [LONGDOUBLE(time) for time in self.structure.profile.profile.times]
         elif "ramp_time" in self.p and not self.structure.ends_ramp:
             self.kinks = [self.p["ramp_time"]]
-        self.start: LongDouble = self._graph["start"](self._numbers)[0][:, 0]
+        self.start: LongDouble = self._graph["start"](self._numbers)[:, 0]
 
     def rates(self, times: LongDouble, states: LongDouble) -> LongDouble:
         """Return the rates of the states, a row each, at times."""
-        return self._graph["rates"]([times], states, self._numbers)[0]
+        return self._graph["rate"]([times], states, self._numbers)
 
     def signals(self, times: LongDouble, states: LongDouble) -> LongDouble:
         """Return the signals that are averaged, a row each, at times."""
-        return self._graph["signals"]([times], states, self._numbers)[0]
+        return self._graph["signals"]([times], states, self._numbers)
 
     def names(self, state: LongDouble) -> list[str]:
         """Return the names of the events that can end the piece of motion beginning with a state."""
@@ -318,7 +312,7 @@ class Motion:
         """
 
         def until(kind: int, times: LongDouble) -> LongDouble:
-            values = self._graph["events"]([times], done.at(times), self._numbers)[0][kind]
+            values = self._graph["zero"]([times], done.at(times), self._numbers)[kind]
             if not np.all(np.isfinite(values)):
                 raise _stopped("stops", done.start, "a force is not finite there")
             return values
@@ -338,7 +332,7 @@ class Motion:
             time: of the event [s].
             state: before the event.
         """
-        columns = self._graph["events"]([np.array([time])], state[:, None], self._numbers)[1]
+        columns = self._graph["after"]([np.array([time])], state[:, None], self._numbers)
         return columns.reshape(-1, len(state))[kind]
 
 
@@ -476,35 +470,34 @@ def periodic_orbit(motion: Motion, guess: LongDouble, outputs: int, degree: int)
 
 # --- CasADi graphs, steps and events in the widest floats ---
 
-LongDoubleGraph: TypeAlias = Callable[..., list[LongDouble]]
+LongDoubleGraph: TypeAlias = Callable[..., LongDouble]
 """Function with one sequence of elements for each argument, each a number or an array over places.
 
-It returns an array for each result, with a row for each element and a column for each place.
+It returns an array with a row for each element of the result and a column for each place.
 """
 
 
-def in_long_double(arguments: Sequence[ca.SX], results: Sequence[Any]) -> LongDoubleGraph:
-    """Return a CasADi graph of scalars as a function that computes in the widest floats.
+def in_long_double(function: ca.Function, result: int = 0) -> LongDoubleGraph:
+    """Return a CasADi Function of scalars as one that computes in the widest floats.
 
     Args:
-        arguments: symbols.
-        results: expressions of the symbols.
+        function: the Function, of SX.
+        result: number of its result that is computed.
 
     Raises:
         InputError: the graph has an operation without a counterpart here, such as the lookup in a table.
     """
-    columns = [ca.vec(ca.densify(ca.SX(result))) for result in results]
-    graph = ca.Function("graph", list(arguments), [ca.vertcat(*columns)])
+    arguments = function.sx_in()
+    graph = ca.Function("graph", arguments, [ca.densify(function.call(arguments)[result])])
     if not {code for code, *_ in instructions(graph)} <= _OPERATIONS:
         raise InputError("an effect of your own uses a function that wide floats cannot compute, such as a table")
     interpreter = Interpreter(graph)
-    ends = np.cumsum([column.numel() for column in columns])[:-1]
 
-    def evaluate(*given: Sequence[LongDouble]) -> list[LongDouble]:
+    def evaluate(*given: Sequence[LongDouble]) -> LongDouble:
         places = max(np.size(element) for argument in given for element in argument)
         found = np.empty((graph.numel_out(0), places), LONGDOUBLE)
         interpreter.evaluate(*given, found)
-        return np.split(found, ends)
+        return found
 
     return evaluate
 

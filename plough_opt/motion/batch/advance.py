@@ -138,10 +138,6 @@ class StepStart:
     p: ca.SX
     ramp_ended: bool
 
-    def graph(self, kept: Sequence[ca.SX] = ()) -> Graph:
-        """Return an empty graph of Taylor series in the time since this moment."""
-        return Graph(self.ramp_ended, kept)
-
     def series(self, graph: Graph, function: ca.Function, motion: list[Series]) -> list[Series]:
         """Enter a Function of (time, (w, w'), parameters) in a graph and return the series of its results.
 
@@ -316,7 +312,7 @@ def deviation_map(start: StepStart, motion: tuple[list[ca.SX], list[ca.SX]], pow
         motion: Taylor coefficients of w and of w'.
         powers: of the step size [s], from 0 on.
     """
-    graph = start.graph()
+    graph = Graph(start.ramp_ended)
     known = [graph.given(*coefficients[:_SPRING_TERMS]) for coefficients in motion]
     spring, damper = start.series(graph, slopes(start.layout.equation), known)
     for order in range(_SPRING_TERMS):
@@ -463,7 +459,7 @@ def advance(layout: Layout, order: int, phase: int) -> ca.Function:
 
 def _solution(start: StepStart, order: int) -> tuple[list[ca.SX], list[ca.SX], list[Switch]]:
     """Return the coefficients of w and of w', and the switches of the right-hand side."""
-    graph = start.graph(ca.vertsplit(start.state[-4 - start.layout.switches : -4]))
+    graph = Graph(start.ramp_ended, ca.vertsplit(start.state[-4 - start.layout.switches : -4]))
     w, rate = graph.given(start.state[1]), graph.given(start.state[2])
     w_rate, acceleration = start.series(graph, start.layout.equation.rate, [w, rate])
     for k in range(order):
@@ -476,7 +472,7 @@ def _solution(start: StepStart, order: int) -> tuple[list[ca.SX], list[ca.SX], l
 
 def _signals(start: StepStart, w: list[ca.SX], rate: list[ca.SX]) -> list[list[ca.SX]]:
     """Return the coefficients of the signals; during a ramp of all orders of the product with the strut's speed."""
-    graph, structure = start.graph(), start.layout.structure
+    graph, structure = Graph(start.ramp_ended), start.layout.structure
     orders = len(w) + (_RAMP_DEGREE if structure.ramp and not start.ramp_ended else 0)
     motion = [graph.given(*c, *[ca.SX(0)] * (orders - len(c))) for c in (w, rate)]
     observed = start.series(graph, start.layout.equation.signals, motion)

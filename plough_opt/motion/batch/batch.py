@@ -266,12 +266,9 @@ class Batch:
             results[:, part], failed = self._simulate(np.ascontiguousarray(rows[:, part]))
             reasons.update({start + k: reason for k, reason in failed.items()})
 
-        if threads == 1:
-            for start in starts:
-                simulate(start)
-        else:
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(simulate, starts))
+        with ThreadPoolExecutor(threads) as pool:
+            each = map if threads == 1 else pool.map
+            list(each(simulate, starts))
         found = BatchResult(
             **dict(zip((*RESULTS, "largest_multiplier", "error_estimate", "steps"), results, strict=True)),
             reasons=dict(sorted(reasons.items())),

@@ -344,13 +344,19 @@ class ProcessPool(Executor):
             new = None
             try:
                 new = self._start()
-                if (answer := self._begin(new)) == _READY:
+                with _limited(_START, new):
+                    _send(new.stdin, self._first_message)
+                    answer = _receive(new.stdout)
+                if answer == _READY:
                     return new
-                self._give_up(f"the worker processes could not begin: {answer}")
+            except OutOfTime:
+                answer = f"they were not ready after {_START:g} s"
             except (OSError, EOFError) as error:
                 # Too little memory or too many processes may prevent the start.
                 self._note_death(self._remove(new) if new else f"could not be started ({error})")
                 time.sleep(_PAUSE)
+                continue
+            self._give_up(f"the worker processes could not begin: {answer}")
 
     def _start(self) -> subprocess.Popen[bytes]:
         """Start a process and return it.
@@ -366,15 +372,6 @@ class ProcessPool(Executor):
             process = subprocess.Popen(_command(), stdin=pipe, stdout=pipe, env=self._environment)
             self._processes[process] = time.monotonic()
             return process
-
-    def _begin(self, process: subprocess.Popen[bytes]) -> str:
-        """Prepare a process for calls; return `_READY`, or why that failed. Raise OSError or EOFError if it died."""
-        try:
-            with _limited(_START, process):
-                _send(process.stdin, self._first_message)
-                return str(_receive(process.stdout))
-        except OutOfTime:
-            return f"they were not ready after {_START:g} s"
 
     def _remove(self, process: subprocess.Popen[bytes]) -> str:
         """Remove a process that is about to end, and return how it ended."""

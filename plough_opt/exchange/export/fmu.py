@@ -138,16 +138,9 @@ def model_of(named: NamedScene, *, by_speed: bool) -> FmuModel:
 
     Args:
         named: the scene.
-        by_speed: whether the input is the strut's speed; otherwise it is the strut's position.
-
-    Raises:
-        InputError: the input is the strut's position, and the equations need its speed.
+        by_speed: whether the input is the strut's speed; otherwise it is the strut's position, which must suffice.
     """
     scene, structure = named.scene, Structure.of(named.scene)
-    if structure.damper and not by_speed:
-        raise InputError("a damper in the mount needs the strut's speed: use strut = 'speed', or leave damping out")
-    if structure.ramp and not by_speed:
-        raise InputError("tow_ramp prescribes the strut's motion too: use strut = 'speed', or leave tow_ramp out")
     symbols, symbolic = _with_parameters(named)
     from_scene = parameters(symbolic)
     numbers, given = {name: ca.SX.sym(name) for name in from_scene}, ca.SX.sym("input")
@@ -611,6 +604,11 @@ def _check(scene: Scene, strut: str, duration: float | None, name: str) -> None:
         raise InputError("the input of an FMU is the strut's motion: leave tow_profile out")
     if scene.effects.orbit != "transient":
         raise InputError("a periodic orbit has no start to integrate from: use effects with orbit = 'transient'")
+    structure, by_place = Structure.of(scene), strut == "position"
+    if by_place and structure.damper:
+        raise InputError("a damper in the mount needs the strut's speed: use strut = 'speed', or leave damping out")
+    if by_place and structure.ramp:
+        raise InputError("tow_ramp prescribes the strut's motion too: use strut = 'speed', or leave tow_ramp out")
     if duration is not None:
         BESIDE["scene.duration"].check(duration)
     scene.check_reaction()

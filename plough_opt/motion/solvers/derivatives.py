@@ -183,11 +183,10 @@ def _read(
 
 def _at_start(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return parameters -> (jet of the state at time 0, jet of the ramp's part of the duration, 0 without a ramp)."""
-    names = equation.names
-    p, e = ca.SX.sym("p", len(names) + 1), ca.SX.sym("e", len(varying))
+    p, e = ca.SX.sym("p", len(equation.names) + 1), ca.SX.sym("e", len(varying))
     shifted = ca.SX(p)
     shifted[list(varying)] = p[list(varying)] + e
-    known = dict(zip(names, ca.vertsplit(shifted[:-1]), strict=True))
+    known = equation.named(shifted)
     part: Column = ramp_time(known) / shifted[-1] if equation.structure.ramp else ca.SX(0)
     both = (_taylor(ca.densify(ca.SX(y)), e, order) for y in (equation.structure.start_state(known), part))
     nothing = ca.SX.zeros(e.numel())

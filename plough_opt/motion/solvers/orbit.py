@@ -183,9 +183,8 @@ def returning(once: Callable[[NDArray[np.int64], Array], Array], guess: Array, u
     for _ in range(MOST_ITERATIONS if len(which) else 0):
         tried = best + change
         with np.errstate(all="ignore"):
-            after = (
-                once(np.concatenate([which] * 3), ((tried + _SHIFTS) * unit).reshape(-1, 2)).reshape(3, -1, 2) / unit
-            )
+            shifted = ((tried + _SHIFTS) * unit).reshape(-1, 2)
+            after = once(np.concatenate([which] * 3), shifted).reshape(3, -1, 2) / unit
             miss = tried - after[0]
             apart = np.hypot(miss[:, 0], miss[:, 1])
             slope_here = ((after[1:] - after[0]) / DIFFERENCE).transpose(1, 2, 0)
@@ -437,11 +436,10 @@ class _Path:
         # States near a slowly attracting orbit differ little too: by about (1 - multiplier) times their distance.
         least = _REPEATS * min(1.0, max(distance, _NEAR)) * min(1.0, max(abs(1.0 - largest), _REPEATS))
         scaled = self.states / self.unit
+        least = max(least, _ROUNDING_OF_STATES * float(np.max(np.abs(scaled))))
         for period in range(1, min(_LONGEST_PERIOD, self.count // 2) + 1):
             apart = np.abs(scaled[-period:] - scaled[-2 * period : -period])
-            if distance > _NEAR and float(np.max(apart)) < max(
-                least, _ROUNDING_OF_STATES * float(np.max(np.abs(scaled)))
-            ):
+            if distance > _NEAR and float(np.max(apart)) < least:
                 return period
         return None
 

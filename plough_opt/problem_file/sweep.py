@@ -159,8 +159,8 @@ def sweep(
         samples: number of points of a scrambled Sobol sample of the ranges, preferably a power of two; None for a grid.
         seed: seed of the sample.
         store: an SQLite file that receives every finished point. Points of the same question that it already holds are
-            not repeated, and several processes may fill it together. None for a temporary file that is deleted with the
-            result.
+            not repeated. One run at a time fills it, and others may read it. None for a temporary file that is deleted
+            with the result.
         executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py, which is left running
             (default: processes on all cores of this machine, which end with the sweep).
         workers: number of workers of the executor, so that all have work (default: the cores of this machine).

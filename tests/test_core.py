@@ -313,7 +313,7 @@ def test_the_table_shows_size_error_and_cost():
 
 @pytest.mark.parametrize("sizes", [[], [4, 0], [2.5, 4], ["4"]])
 def test_invalid_sizes_are_refused(sizes):
-    with pytest.raises(po.InputError, match=re.escape(f"sizes = {sizes} must be one or more positive integers")):
+    with pytest.raises(po.InputError, match="a size = .* must be a whole number of at least 1|there are no sizes"):
         po.refine(float, sizes)
 
 

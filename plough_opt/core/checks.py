@@ -303,15 +303,17 @@ def _check_number(name: str, value: Expression, unit: str) -> None:
         raise DomainError(f"{name} has type {kind}, in which squares and cubes overflow: convert it to float")
 
 
-def plain_number(what: str, value: Any) -> float:
+def plain_number(what: str, value: Any, unit: str = "", **limits: Any) -> float:
     """Return a number as a float.
 
     Args:
         what: name of the value, for the user.
         value: a number, or a 0-d array or CasADi matrix with one element; not a string, bool or symbol.
+        unit: unit of the value and of the limits.
+        limits: those of `check_domain`, with their reason.
 
     Raises:
-        InputError: the value is not a finite number, or is larger than `LARGEST` in magnitude.
+        InputError: the value is not a finite number, outside its limits, or larger than `LARGEST` in magnitude.
     """
     try:
         if isinstance(value, str | bytes | bool | np.bool_) or (isinstance(value, np.ndarray) and value.ndim > 0):
@@ -322,10 +324,11 @@ def plain_number(what: str, value: Any) -> float:
         raise InputError(text) from None
     except OverflowError:
         number = math.inf
-    if not math.isfinite(number):
-        raise InputError(f"{what}: {shown(value)} must be a finite number")
-    if abs(number) > LARGEST:
-        raise InputError(f"{what}: {shown(value)} must be at most {LARGEST:g} in magnitude: check its unit")
+    if limits or not abs(number) <= LARGEST:
+        try:
+            DomainLimit(what, unit, **({"at_least": -LARGEST, "at_most": LARGEST} | limits)).check(number)
+        except DomainError as error:
+            raise InputError(str(error)) from None
     return number
 
 

@@ -7,7 +7,6 @@ expressions, and keeps with them what follows from them.
 
 import dataclasses
 import math
-import numbers
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, wraps
@@ -157,11 +156,6 @@ def _own_fields(kind: type) -> tuple[str, ...]:
 def is_quantity(value: Any) -> bool:
     """Return whether a value is a number or a CasADi expression; a bool is neither."""
     return is_casadi(value) or (isinstance(value, int | float | np.number) and not isinstance(value, bool))
-
-
-def is_count(value: Any) -> bool:
-    """Return whether a value is a positive integer."""
-    return isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= 1
 
 
 def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[Any], bool] = is_casadi) -> Any:

@@ -3,11 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Final
 
-import numpy as np
-
-from plough_opt.core.checks import check_named, shown
+from plough_opt.core.checks import check_named, plain_number, whole_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import is_count
 
 # Rounding of sums of a tableau's coefficients, which may be as large as about 50.
 _ROUNDING_OF_TABLEAU = 1e-12
@@ -231,9 +228,7 @@ class Accuracy:
             return
         if self.method not in methods:
             raise InputError(f"method '{self.method}' has no setting '{name}', which is for {', '.join(methods)}")
-        whole = name == "steps"
-        sound = is_count(value) if whole else isinstance(value, int | float | np.number) and not isinstance(value, bool)
-        value = float(value) if isinstance(value, np.floating) else value  # NumPy would round the bounds to float16
-        if not (sound and low <= value <= high):
-            kind, given = " and be a whole number" if whole else "", f"{min(value, 1e300):g}" if sound else shown(value)
-            raise InputError(f"accuracy {name} = {given} must lie between {low:g} and {high:g}{kind}")
+        if name == "steps":
+            whole_number("accuracy steps", value, int(low), int(high))
+        else:
+            object.__setattr__(self, name, plain_number(f"accuracy {name}", value, at_least=low, at_most=high))

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_kind, check_single, check_switch, shown
+from plough_opt.core.checks import check_kind, check_single, check_switch, whole_number
 from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import (
@@ -20,7 +20,6 @@ from plough_opt.core.expressions import (
     dot,
     holds_casadi,
     is_casadi,
-    is_count,
     is_symbolic,
     kept,
     map_expressions,
@@ -180,8 +179,7 @@ def _read(
     """
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
     check_kind("accuracy", accuracy, Accuracy, "an Accuracy, such as Accuracy('erk')")
-    if not is_count(outputs) or outputs > plan.MOST_OUTPUTS:
-        raise InputError(f"outputs = {shown(outputs)} must be a whole number of intervals, 1 to {plan.MOST_OUTPUTS}")
+    whole_number("outputs", outputs, 1, plan.MOST_OUTPUTS)
     check_switch("compiled", compiled)
     method = f"accuracy method '{accuracy.method}'"
     if accuracy.method != "auto" and not scene.effects.motion:

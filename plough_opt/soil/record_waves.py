@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import plain_number, shown
+from plough_opt.core.checks import plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS, figure_with_panels, written
 from plough_opt.core.quantities import MOST_WAVES
@@ -305,9 +305,7 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
         >>> po.strength_waves(record).variance > 0.0
         True
     """
-    part = plain_number("part of the variance", part)
-    if not 0.0 < part <= 1.0:
-        raise InputError(f"part = {shown(part)} of the variance must be above 0 and at most 1")
+    part = plain_number("part of the variance", part, above=0.0, at_most=1.0)
     diameter = checked_diameter(record, base_diameter)
     x, y = record.position - record.position[0], record.relative()
     variance = float(np.mean(y**2))

@@ -358,7 +358,7 @@ def test_a_calibration_fits_other_observed_values(measured, three, fitted):
 
 
 def test_invalid_levels_kinds_folds_and_candidates_are_refused(fitted):
-    with pytest.raises(po.InputError, match="level = 95 must lie between 0 and 1"):
+    with pytest.raises(po.InputError, match="level = 95 must be below 1"):
         fitted.intervals(95)
     with pytest.raises(po.InputError, match="must be 'profile' or 'linearised'"):
         fitted.intervals(kind="bootstrap")
@@ -438,7 +438,7 @@ REFUSED = [
     (("--data", DATA, "--hold-out", "some"), "--hold-out some: expected a part of the rows, like 1/3"),
     (("--data", DATA, "--hold-out", "1/0"), "--hold-out 1/0: expected a part"),
     (("--data", DATA, "--hold-out-by", "scene.tow_speed"), "--hold-out-by belongs to --hold-out"),
-    (("--data", DATA, "--hold-out", "1.5"), "hold out 1.5: give a part of the rows between 0 and 1"),
+    (("--data", DATA, "--hold-out", "1.5"), "part of the rows to hold out = 1.5 must be below 1"),
     (("--data", DATA, "--hold-out", "0.95"), "leaves fewer than the 3"),
     (("--data", DATA, "--hold-out", "0.3", "--hold-out-by", "scene.towspeed"), "did you mean 'scene.tow_speed'"),
 ]

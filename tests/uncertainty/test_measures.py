@@ -102,7 +102,7 @@ WRONG_DISTRIBUTIONS = [
     ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0"),
     ({"within": {"cohesion": 30e3}}, "the bounds of cohesion are 30000.0: give two numbers"),
     ({"within": {"friction_angle": (po.deg(34), po.deg(34))}}, "contradict"),
-    ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "between -1 and 1"),
+    ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "cohesion and friction_angle = -1 must be above -1"),
     ({"correlation": {("cohesion", "density"): 0.1}}, "no distribution"),
     ({"correlation": {("cohesion", "cohesion"): 0.1}}, "pair of properties"),
     ({"correlation": {("cohesion", "friction_angle"): 0.1, ("friction_angle", "cohesion"): 0.2}}, "given twice"),
@@ -234,7 +234,7 @@ def test_a_standard_deviation_of_zero_has_finite_derivatives():
 WRONG_MEASURES = [
     (lambda v: measures.cvar(v, 1.0), "level"),
     (lambda v: measures.cvar(v, 0.9, width=-1.0), "width"),
-    (lambda v: measures.quantile(v, 0.0), "between 0 and 1"),
+    (lambda v: measures.quantile(v, 0.0), "level of a quantile = 0 must be above 0"),
     (lambda v: measures.probability(v), "needs a limit"),
     (lambda v: measures.probability(v, at_least=2.0, at_most=1.0), "contradict"),
     (lambda v: measures.expected(np.r_[v, np.nan]), "1 of 65 samples are not finite"),
@@ -371,7 +371,7 @@ def test_refusals():
     for call, words in (
         (lambda: po.SoilDistribution(FIELD.soil), "nothing is uncertain"),
         *((lambda n=n: FIELD.sample(n, seed=1), "must be a whole number from 1 to") for n in (0, 1 << 21)),
-        *((lambda n=n: sobol_indices(robust, AT, samples=n), "power of two") for n in (1, 100)),
+        *((lambda n=n: sobol_indices(robust, AT, samples=n), "at least 2|power of two") for n in (1, 100)),
         (lambda: verify(robust, AT, samples=50), "at least 100"),
         (lambda: robust.values({"height": 0.25, "stifness": 4e4}), "'stiffness'"),
         (lambda: robust.expected("drafts"), "'draft'"),

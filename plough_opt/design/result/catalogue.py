@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plough_opt.core.checks import array_of, shown
+from plough_opt.core.checks import array_of, plain_number, shown
 from plough_opt.core.errors import InfeasibleDesign, InputError, nearest
 from plough_opt.core.units import has_unit, in_si, in_words
 from plough_opt.design.confirmation import Judge, ranking_criterion, spread
@@ -360,9 +360,7 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
         raise InputError(wrong)
     reserve = _VALUES.beyond_bound * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
-        step = float(values[0])
-        if step <= 0.0:
-            raise InputError(f"the step of '{v.name}' must be above 0, not {step:g}")
+        step = plain_number(f"the step of '{v.name}'", values[0], v.unit, above=0.0)
         if max(abs(v.lower), abs(v.upper)) / _VALUES.most_multiples > step:
             raise InputError(f"the step {step:g} of '{v.name}' is too small for its bounds: use a larger one")
         first, last = math.ceil((v.lower - reserve) / step), math.floor((v.upper + reserve) / step)

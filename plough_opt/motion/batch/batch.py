@@ -16,7 +16,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plough_opt.core.checks import NOT_NUMBERS, check_domain, check_kind, check_single, limits_of_numbers, shown
+from plough_opt.core.checks import (
+    array_of,
+    check_domain,
+    check_kind,
+    check_single,
+    limits_of_numbers,
+    plain_number,
+    shown,
+    whole_number,
+)
 from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.expressions import (
@@ -24,7 +33,6 @@ from plough_opt.core.expressions import (
     Expression,
     as_number,
     is_casadi,
-    is_count,
     is_quantity,
     is_symbolic,
     map_expressions,
@@ -198,12 +206,10 @@ class Batch:
         self, scene: Scene, duration: Expression | None, inputs: Sequence[Column], *, error: float = 1e-6
     ) -> None:
         _check_scene(scene)
-        if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
-            raise InputError(f"error = {shown(error)} must lie between 1e-11 and 1e-2")
         duration = duration_of(scene, duration)
         check_single("the duration of a batch", duration)
         symbols = _symbols(inputs)
-        self._error = error
+        self._error = error = plain_number("error", error, at_least=1e-11, at_most=1e-2)
         self._layout = Layout.of(equation_of(Structure.of(scene)))
         template, quantities = template_of(scene)
         self._check = DomainCheck(template, [None if is_symbolic(q) else float(as_number(q)) for q in quantities])
@@ -253,8 +259,7 @@ class Batch:
         Raises:
             InputError: values are not numbers or have the wrong shape, or threads is not a whole number from 1.
         """
-        if not is_count(threads):
-            raise InputError(f"threads = {shown(threads)} must be a whole number, at least 1")
+        whole_number("threads", threads, 1)
         began = time.perf_counter()
         rows = self._rows(values)
         starts = range(0, rows.shape[1], _CHUNK)
@@ -306,10 +311,7 @@ class Batch:
 
     def _rows(self, values: ArrayLike) -> Array:
         """Return values as an array with a row for each input."""
-        try:
-            array = np.asarray(values, dtype=float)
-        except NOT_NUMBERS as error:
-            raise InputError(f"the values of a batch must be numbers, in SI units: {error}") from None
+        array = array_of(values, "the values of a batch must be numbers, in SI units, not {}")
         if array.ndim != 2 or array.shape[1] != self._inputs:
             raise InputError(
                 f"the values of a batch have the shape {array.shape}: they need a row for each design and a column for"

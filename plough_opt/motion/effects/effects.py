@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_choice, check_kind, check_switch, shown
+from plough_opt.core.checks import check_choice, check_kind, check_switch, shown, whole_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import COUNT, Expression, as_number, is_count, is_symbolic
+from plough_opt.core.expressions import COUNT, Expression, as_number, is_symbolic
 from plough_opt.core.plain_data import ByName
 from plough_opt.core.quantities import MOST_WAVES, read_fields
 from plough_opt.laws.law import Formulation, Printed, errors_of
@@ -39,8 +39,7 @@ class HarmonicBalance:
     harmonics: int = field(default=3, metadata=COUNT)
 
     def __post_init__(self) -> None:
-        if not is_count(self.harmonics) or self.harmonics > MOST_HARMONICS:
-            raise InputError(f"harmonics = {shown(self.harmonics)} must be a whole number from 1 to {MOST_HARMONICS}")
+        whole_number("harmonics", self.harmonics, 1, MOST_HARMONICS)
 
 
 @dataclass(frozen=True)

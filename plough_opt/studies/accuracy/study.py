@@ -35,7 +35,7 @@ from plough_opt.core.checks import (
 )
 from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, PloughError
-from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, map_expressions
+from plough_opt.core.expressions import Expression, as_number, holds_casadi, map_expressions
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import available, without_notices
 from plough_opt.core.saving import versions
@@ -537,9 +537,7 @@ class Refinement:
             >>> found.size_for(0.005)
             16
         """
-        error = plain_number("error", error)
-        if error < 0.0:
-            raise InputError(f"error = {error:g} must be at least 0")
+        error = plain_number("error", error, at_least=0.0)
         if reach := [size for size, own in zip(self.sizes, self.errors, strict=True) if own <= error]:
             return reach[0]
         raise InputError(f"no size up to {self.sizes[-1]} reaches a relative error of {error:g}: try larger sizes")
@@ -577,10 +575,9 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
     """
     check_callable("the quantity", quantity, "of the size")
     check_kind("sizes", sizes, Sequence | np.ndarray, "a list of positive integers")
-    tried = tuple(sizes)
-    if not tried or not all(map(is_count, tried)):
-        raise InputError(f"sizes = {shown(list(sizes))} must be one or more positive integers")
-    tried = tuple(sorted(set(map(int, tried))))
+    tried = tuple(sorted({whole_number("a size", size, 1) for size in sizes}))
+    if not tried:
+        raise InputError("there are no sizes: give one or more positive integers")
     reference = _value(quantity, 2 * tried[-1])
     largest = float(np.max(np.abs(reference)))
     errors, seconds = [], []

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 
-from plough_opt.core.checks import check_kind, check_named, plain_number, shown, whole_number
+from plough_opt.core.checks import check_kind, check_named, plain_number, whole_number
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, NotConverged
 from plough_opt.core.expressions import ByValue, as_number
 from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite
@@ -54,9 +54,7 @@ class Interval:
 
 def check_level(level: float) -> float:
     """Return a confidence level as a float, or raise InputError if it is not between 0 and 1."""
-    if not isinstance(level, int | float) or not 0.0 < level < 1.0:
-        raise InputError(f"level = {shown(level)} must lie between 0 and 1, such as 0.95")
-    return float(level)
+    return plain_number("level", level, above=0.0, below=1.0, why="0.95 is usual")
 
 
 def interval(fit: Estimate, k: int, level: float, kind: Kind) -> Interval:
@@ -534,8 +532,7 @@ def held_out(fit: Estimate, part: float, by: str | None, seed: int) -> tuple[Est
     """
     results, order = _counted(fit)
     groups = _groups(fit, order, by)
-    if not 0.0 < (share := plain_number("the part to hold out", part)) < 1.0:
-        raise InputError(f"hold out {shown(part)}: give a part of the rows between 0 and 1, such as 1/3")
+    share = plain_number("the part of the rows to hold out", part, above=0.0, below=1.0, why="1/3 is usual")
     count = max(1, round(share * len(groups)))
     chosen = np.arange(len(groups))
     if by is not None or RECORD not in results:

@@ -357,7 +357,4 @@ def _limit(limit: object, executor: object) -> float:
     """
     if limit is not None and executor is not None:
         raise InputError("limit is for the processes of this machine: remove it, or the executor")
-    seconds = LIMIT if limit is None else plain_number("the limit of a point", limit)
-    if not seconds > 0.0:
-        raise InputError(f"limit = {shown(limit)} must be a time above 0 s")
-    return seconds
+    return LIMIT if limit is None else plain_number("the limit of a point", limit, "s", above=0.0)

@@ -407,13 +407,10 @@ class SoilDistribution:
             for name in pair:
                 check_named("the correlation names {}, which has no distribution", name, self.names)
             a, b = map(self.names.index, pair)
-            if not isinstance(value, int | float | np.number) or not -1.0 < value < 1.0:
-                raise InputError(
-                    f"the correlation of {pair[0]} and {pair[1]}, {shown(value)}, must lie between -1 and 1"
-                )
+            what = f"the correlation of {pair[0]} and {pair[1]}"
             if matrix[a, b] != 0.0:
-                raise InputError(f"the correlation of {pair[0]} and {pair[1]} is given twice")
-            matrix[a, b] = matrix[b, a] = value
+                raise InputError(f"{what} is given twice")
+            matrix[a, b] = matrix[b, a] = plain_number(what, value, above=-1.0, below=1.0)
         return matrix
 
     @cached_property
@@ -485,8 +482,7 @@ class SoilDistribution:
             >>> field.corners(part=0.8).property("cohesion").round(6).tolist()
             [11000.0, 19000.0]
         """
-        if not 0.0 < plain_number("the part of each distribution", part) < 1.0:
-            raise InputError(f"the part {shown(part)} of each distribution within the box must lie between 0 and 1")
+        part = plain_number("the part of each distribution within the box", part, above=0.0, below=1.0)
         ends = [marginal.quantile([(1.0 - part) / 2.0, (1.0 + part) / 2.0]) for marginal in self.marginals.values()]
         grid = np.stack([axis.ravel() for axis in np.meshgrid(*ends, indexing="ij")], axis=1)
         return SoilSamples(self.soil, self.names, grid)

@@ -139,9 +139,7 @@ def cvar(values: Column, level: float, *, width: Expression = 0.0) -> Column:
         >>> round(float(po.uncertainty.cvar(values, 0.5)), 3)
         6.5
     """
-    level = plain_number("the level of a CVaR", level)
-    if not 0.0 <= level < 1.0:
-        raise InputError(f"the level {shown(level)} of a CVaR must lie from 0 to below 1: 0.9 means the worst tenth")
+    level = plain_number("the level of a CVaR", level, at_least=0.0, below=1.0, why="0.9 means the worst tenth")
     column = _column(values)
     tail = 1.0 - level
     if not _is_smoothed("CVaR", column, width):
@@ -243,9 +241,7 @@ def quantile(values: Column, level: float, *, width: Expression = 0.0) -> Column
         >>> round(float(po.uncertainty.quantile(values, 0.5)), 3)
         2.0
     """
-    level = plain_number("the level of a quantile", level)
-    if not 0.0 < level < 1.0:
-        raise InputError(f"the level {shown(level)} of a quantile must lie between 0 and 1")
+    level = plain_number("the level of a quantile", level, above=0.0, below=1.0)
     column = _column(values)
     if not _is_smoothed("quantile", column, width):
         return float(np.quantile(column, level, method="inverted_cdf"))
@@ -305,9 +301,7 @@ def _is_smoothed(what: str, column: Column, width: Expression) -> bool:
     """Return whether a measure is smoothed; raise InputError for an invalid width, or for expressions without one."""
     if is_casadi(width):
         return True
-    number = plain_number(f"the width of a {what}", width)
-    if number < 0.0:
-        raise InputError(f"the width {shown(width)} of a {what} must be at least 0, in the unit of the values")
+    number = plain_number(f"the width of a {what}", width, at_least=0.0, why="it is in the unit of the values")
     if 0.0 < number < LEAST:
         raise InputError(f"the width {shown(width)} of a {what} must be 0 or at least {LEAST:g}: leave it out")
     if number == 0.0 and is_casadi(column):

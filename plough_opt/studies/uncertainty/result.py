@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from plough_opt.core.checks import check_kind, shown
+from plough_opt.core.checks import check_kind, shown, whole_number
 from plough_opt.core.errors import InputError, printable
-from plough_opt.core.expressions import ByValue, is_count
+from plough_opt.core.expressions import ByValue
 from plough_opt.core.files import COLOURS, figure_with_panels, written
 from plough_opt.core.plain_data import Array, Unsaved
 from plough_opt.core.quantities import QUANTITIES
@@ -122,7 +122,7 @@ def sobol_indices(
     """
     check_kind("the results", robust, Robust, "a Robust")
     field = robust.field
-    if not is_count(samples) or samples < 2 or samples & (samples - 1):
+    if whole_number("samples", samples, 2) & (samples - 1):
         raise InputError(f"samples = {shown(samples)} must be a power of two, as the Sobol sequence needs")
     if field.correlated and not correlated:
         raise InputError(

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from plough_opt.core.checks import check_choice, check_kind, check_named, plain_number, shown
+from plough_opt.core.checks import check_choice, check_kind, check_named, plain_number, whole_number
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, printable
-from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi, is_count
+from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import without_notices
 from plough_opt.core.saving import Origin
@@ -672,8 +672,7 @@ def verify(
     """
     check_kind("the results", robust, Robust, "a Robust")
     started = time.perf_counter()
-    if not is_count(samples) or samples < 100:
-        raise InputError(f"samples = {shown(samples)} must be a whole number of at least 100, for confidence intervals")
+    whole_number("samples for confidence intervals", samples, 100)
     common = robust.values(at)
     fresh = robust.responses(at, robust.field.draw(samples, seed=seed))
     valid = samples - len(fresh.failures)

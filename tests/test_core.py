@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import re
 
 import casadi as ca
 import numpy as np
@@ -313,7 +312,7 @@ def test_the_table_shows_size_error_and_cost():
 
 @pytest.mark.parametrize("sizes", [[], [4, 0], [2.5, 4], ["4"]])
 def test_invalid_sizes_are_refused(sizes):
-    with pytest.raises(po.InputError, match="a size = .* must be a whole number of at least 1|there are no sizes"):
+    with pytest.raises(po.InputError, match=r"a size = .* must be a whole number of at least 1|there are no sizes"):
         po.refine(float, sizes)
 
 

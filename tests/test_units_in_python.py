@@ -249,7 +249,7 @@ WRONG = {
     "a symbol to refine": (lambda: po.refine(lambda _: ca.SX.sym("x"), [2]), "'x' holds symbols"),
     "a search in bytes": (lambda: effort.searched(b"near", ()), "search = b'near' must be 'auto'"),
     "a search of nothing": (lambda: effort.searched([], ()), r"search = \[\] must be 'auto'"),
-    "limits": (lambda: po.Output("mean_draft", lower=2.0, upper=1.0), "limits of 'mean_draft' .* 2 is above 1"),
+    "limits": (lambda: po.Output("mean_draft", lower=2.0, upper=1.0), "'mean_draft': its limits .* 2 is above"),
     "node of three": (lambda: po.elastic.wedge_force([(0.0, 0.0), (0.5, 0.1, 0.2)], SOIL, 2.0), "is not a pair"),
 }
 

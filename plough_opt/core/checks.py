@@ -332,6 +332,73 @@ def plain_number(what: str, value: Any, unit: str = "", **limits: Any) -> float:
     return number
 
 
+def bound_of(what: str, value: Any) -> float:
+    """Return a bound as a float, which may be infinite; raise InputError if it is no number."""
+    return value if isinstance(value, float) and math.isinf(value) else plain_number(what, value)
+
+
+def pair_of(what: str, value: Any) -> tuple[float, float]:
+    """Return the ends of a range, either of which may be infinite.
+
+    Raises:
+        InputError: the value is not a pair of numbers, or the first is not below the second.
+    """
+    try:
+        low, high = value
+    except NOT_NUMBERS:
+        raise InputError(f"{what} = {shown(value)} must be a pair of numbers, such as (0.0, 0.5)") from None
+    low, high = bound_of(what, low), bound_of(what, high)
+    check_bounds(what, low, high)
+    return low, high
+
+
+def check_bounds(
+    what: str,
+    lower: float,
+    upper: float,
+    guess: float | None = None,
+    *,
+    log: bool = False,
+    show: Callable[[float], str] = "{:g}".format,
+) -> None:
+    """Raise InputError if bounds contradict each other, a guess or a logarithmic scale.
+
+    Args:
+        what: name of the bounded quantity, for the user.
+        lower: lower bound.
+        upper: upper bound.
+        guess: a value that must lie between them, if any.
+        log: whether the scale is logarithmic, so that the bounds must be above 0.
+        show: function that returns a number as text, with its unit.
+    """
+    if not lower < upper:
+        equal = "; to fix a quantity, use the number itself" * (lower == upper)
+        ends = f"lower {show(lower)} is not below upper {show(upper)}{equal}"
+        raise InputError(f"{what}: its bounds contradict each other: {ends}")
+    if log and lower <= 0.0:
+        raise InputError(f"{what}: a logarithmic scale needs a lower bound above 0, not {show(lower)}")
+    if guess is not None and not lower <= guess <= upper:
+        raise InputError(f"{what}: its guess {show(guess)} lies outside its bounds {show(lower)} to {show(upper)}")
+
+
+def check_limits(
+    what: str, at_least: float | None, at_most: float | None, show: Callable[[float], str] = "{:g}".format
+) -> None:
+    """Raise InputError if there is no limit, or if the lower one is above the upper one.
+
+    Args:
+        what: name of the limited quantity, for the user.
+        at_least: lower limit, or None.
+        at_most: upper limit, or None.
+        show: function that returns a number as text, with its unit.
+    """
+    if at_least is None and at_most is None:
+        raise InputError(f"{what} has no limit: give at_least, at_most or both")
+    if at_least is not None and at_most is not None and at_least > at_most:
+        ends = f"at least {show(at_least)} is above at most {show(at_most)}"
+        raise InputError(f"{what}: its limits contradict each other: {ends}")
+
+
 def whole_number(what: str, value: Any, least: int = 0, most: float = math.inf) -> int:
     """Return an integer, also one of NumPy, as an int; raise InputError for another value or one beyond its limits."""
     if isinstance(value, bool) or not isinstance(value, Integral) or not least <= int(value) <= most:

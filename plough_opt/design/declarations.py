@@ -7,13 +7,14 @@ import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import plain_number, shown
+from plough_opt.core.checks import check_bounds, check_limits, check_switch, plain_number, shown
 from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
 from plough_opt.core.units import Display, customary, in_si, in_words
@@ -66,19 +67,9 @@ class Variable(Scaled):
 
     def __post_init__(self) -> None:
         text = f"variable '{self.name}'"
-        if not isinstance(self.log, bool | np.bool_):
-            raise InputError(f"{text}: log = {shown(self.log)} must be True or False")
-        if not self.lower < self.upper:
-            equal = "; to fix a quantity, use the number itself in place of a variable" * (self.lower == self.upper)
-            raise InputError(
-                f"{text}: its bounds contradict each other: lower {in_words(self.lower, self.unit)} is not below"
-                f" upper {in_words(self.upper, self.unit)}{equal}"
-            )
-        if not self.lower <= self.guess <= self.upper:
-            low, high, guess = (in_words(x, self.unit) for x in (self.lower, self.upper, self.guess))
-            raise InputError(f"{text}: its guess {guess} lies outside its bounds {low} to {high}")
-        if self.log and self.lower <= 0.0:
-            raise InputError(f"{text}: a log-scaled variable needs a lower bound above 0, not {self.lower:g}")
+        check_switch(f"{text}: log", self.log)
+        show = partial(in_words, unit=self.unit)
+        check_bounds(text, self.lower, self.upper, self.guess, log=self.log, show=show)
         self._half_width(self.guess)  # raises InputError if the tolerance is not valid
 
     @property
@@ -171,13 +162,7 @@ class Requirement:
         text = f"requirement '{self.name}'"
         if self.expression.numel() == 0:
             raise InputError(f"{text} has no value to limit: its expression is empty")
-        if self.at_least is None and self.at_most is None:
-            raise InputError(f"{text} has no limit: give at_least, at_most or both")
-        if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
-            raise InputError(
-                f"{text}: its limits contradict each other: at least {in_words(self.at_least, self.unit)} is above"
-                f" at most {in_words(self.at_most, self.unit)}"
-            )
+        check_limits(text, self.at_least, self.at_most, partial(in_words, unit=self.unit))
 
     @property
     def scale(self) -> float:

@@ -17,6 +17,7 @@ from plough_opt.core.checks import (
     check_switch,
     check_text,
     mapping_of,
+    pair_of,
     plain_number,
     shown,
     whole_number,
@@ -121,7 +122,7 @@ class Design:
         symbol = ca.MX.sym(name)
         if has_unit(tolerance) and not str(tolerance).rstrip().endswith("%"):
             tolerance = plain_number(what, in_si(what, tolerance, unit))
-        ends = _ends(name, domain)
+        ends = pair_of(f"domain of '{name}'", domain)
         self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance, False, ends, display))
         self._program = None
         return symbol
@@ -155,7 +156,7 @@ class Design:
         (at,), unit, _ = _read(f"parameter '{name}'", name, unit, (value,), None)
         warn_of_slips(f"parameter '{name}'", unit, (value,))
         symbol = ca.MX.sym(name)
-        self._parameters.append(Parameter(name, symbol, at, unit, _ends(name, domain)))
+        self._parameters.append(Parameter(name, symbol, at, unit, pair_of(f"domain of '{name}'", domain)))
         self._program = None
         return symbol
 
@@ -391,17 +392,6 @@ def _read(
         for value, side in zip(values, sides, strict=False)
     ]
     return numbers, unit, display or written
-
-
-def _ends(name: str, domain: Any) -> tuple[float, float]:
-    """Return the ends of a domain, in order."""
-    numbers = int | float | np.integer | np.floating
-    if not (isinstance(domain, tuple | list) and len(domain) == 2 and all(isinstance(end, numbers) for end in domain)):
-        raise InputError(f"domain of '{name}' = {shown(domain)} must be a pair of ends, such as (0.0, math.inf)")
-    low, high = map(float, domain)
-    if not low < high:
-        raise InputError(f"domain of '{name}': its first end {low:g} must be below its second {high:g}")
-    return low, high
 
 
 def _check_name(name: Any) -> None:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import DomainLimit, check_domain, check_named, check_text, plain_number, shown
+from plough_opt.core.checks import DomainLimit, bound_of, check_domain, check_limits, check_named, check_text, shown
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
 from plough_opt.core.quantities import EVERY, Quantity
@@ -126,11 +126,8 @@ class Output:
         known = MEASURES.get(self.name) if self.of is None else None
         _read_in_si(self, None if known is None else known.unit.symbol, ("lower", "upper"))
         for side in ("lower", "upper"):
-            limit = getattr(self, side)
-            if not (isinstance(limit, float) and math.isinf(limit)):
-                object.__setattr__(self, side, plain_number(f"'{self.name}': {side}", limit))
-        if not self.lower <= self.upper:
-            raise InputError(f"limits of '{self.name}' contradict each other: {self.lower:g} is above {self.upper:g}")
+            object.__setattr__(self, side, bound_of(f"'{self.name}': {side}", getattr(self, side)))
+        check_limits(f"'{self.name}'", self.lower, self.upper)
 
 
 @dataclass(frozen=True)

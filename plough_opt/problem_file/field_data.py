@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import LARGEST, LEAST, array_of, check_text, path_of, plain_number, shown
+from plough_opt.core.checks import LARGEST, LEAST, array_of, check_text, pair_of, path_of, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import exact_text
 from plough_opt.core.quantities import QUANTITIES
@@ -130,10 +130,8 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
         True
     """
     path = path_of("the file of readings", path)
-    ends = depth if isinstance(depth, Sequence) and not isinstance(depth, str | bytes) else ()
-    low, high = (plain_number("depth", end) for end in ends) if len(ends) == 2 else (0.0, 0.0)
-    if not 0.0 <= low < high:
-        raise InputError(f"depth = {shown(depth)} must be two depths in metres from 0 upwards, the shallower first")
+    low, high = pair_of("depth", depth)
+    plain_number("the shallowest depth", low, "m", at_least=0.0)
     place, headings, rows = readings_of(path, _INSERTIONS)
     columns = _columns(place, headings)
 

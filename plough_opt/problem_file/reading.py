@@ -13,12 +13,13 @@ import re
 import tomllib
 import typing
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 
-from plough_opt.core.checks import check_kind, check_named, path_of
+from plough_opt.core.checks import check_bounds, check_kind, check_limits, check_named, path_of
 from plough_opt.core.errors import DomainError, InputError, about, nearest, short
 from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
@@ -224,15 +225,9 @@ def variable_of(source: Source, key: str, declared: VariableTable) -> FileVariab
         if (written := getattr(declared, side)) is not None
     }
     lower, upper = bounds["lower"], bounds["upper"]
-    if not lower < upper:
-        ends = f"{declared.lower} is not below upper {declared.upper}"
-        raise InputError(f"the bounds of '{key}' contradict each other: {ends}")
-    if declared.log and lower <= 0.0:
-        raise InputError(f"'{key}' is log-scaled and needs a lower bound above 0, not {declared.lower}")
-    guess = bounds.get("guess", math.sqrt(lower * upper) if declared.log else (lower + upper) / 2.0)
-    if not lower <= guess <= upper:
-        raise InputError(f"guess {declared.guess} of '{key}': outside its bounds {declared.lower} to {declared.upper}")
     display, tolerance = display_of(declared.lower, unit), _tolerance(source, key, declared.tolerance)
+    check_bounds(f"'{key}'", lower, upper, bounds.get("guess"), log=declared.log, show=display.text)
+    guess = bounds.get("guess", math.sqrt(lower * upper) if declared.log else (lower + upper) / 2.0)
     catalogue = _catalogue(source, key, declared, lower, upper)
     own = unit.symbol, display, IN_FILES[key].domain, tolerance, catalogue
     return FileVariable(lower, upper, guess, declared.log, *own)
@@ -571,11 +566,8 @@ def _check_measure(
     values = {side: source.parsed((*place, side), unit, one, f"'{name}' {side}") for side, one in sides.items()}
     if kind == "minimise" and values["per"] <= 0.0:
         raise source.error((*place, "per"), f"'{name}' per = {sides['per']} must be above 0")
-    if kind == "require" and not values:
-        raise InputError(f"'{name}' has no limit: give at_least, at_most or both")
-    if values.get("at_least", -math.inf) > values.get("at_most", math.inf):
-        ends = f"at least {sides['at_least']} is above at most {sides['at_most']}"
-        raise InputError(f"the limits of '{name}' contradict each other: {ends}")
+    if kind == "require":
+        check_limits(f"'{name}'", values.get("at_least"), values.get("at_most"), partial(in_words, unit=unit.symbol))
 
 
 def _check_name(

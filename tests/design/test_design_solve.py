@@ -136,7 +136,7 @@ def test_a_search_needs_no_value_at_the_guess(where):
 def test_an_invalid_parameter_is_refused():
     d, x = design(x=(0.5, 0.0, 1.0))
     for value in (math.nan, math.inf):
-        with pytest.raises(po.InputError, match="parameter 'p' = .* must be finite"):
+        with pytest.raises(po.InputError, match=r"parameter 'p' = .* must be finite"):
             d.parameter("p", value)
     for domain in ((1.0, 0.0), (0.0,), 3.0, ("0", "1"), (math.nan, 1.0)):
         with pytest.raises(po.InputError, match="domain of 'p'"):

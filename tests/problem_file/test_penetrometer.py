@@ -57,7 +57,7 @@ def test_an_average_over_depth_of_each_insertion(write):
     assert found.spread == pytest.approx(np.std(MEANS, ddof=1), rel=1e-12)
     law = found.distribution()
     assert [law.mean(), law.std()] == pytest.approx([found.mean, found.spread], rel=1e-12)
-    with pytest.raises(po.InputError, match="must be two depths in metres from 0 upwards, the shallower first"):
+    with pytest.raises(po.InputError, match=r"lower 0\.45 is not below upper 0\.25"):
         po.read_penetrometer(write().parent / "field.csv", (0.45, 0.25))
 
 

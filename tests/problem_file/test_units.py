@@ -195,7 +195,7 @@ def test_a_variable_that_is_fixed_and_then_bounded_is_blamed_on_the_bound(refusa
 def test_a_change_is_not_blamed_for_a_mistake_of_the_file_in_the_same_table(refusal):
     for place, override, mistake in (
         (('tow_speed = "7.2 km/h"\n', ""), "scene.duration=1 s", "line 9: 'tow_speed' is missing"),
-        (('upper = "0.5 m"', 'upper = "0.05 m"'), "variables.share.height.log=true", "line 21: the bounds of"),
+        (('upper = "0.5 m"', 'upper = "0.05 m"'), "variables.share.height.log=true", "line 21: 'share.height': its"),
     ):
         assert refusal(changed(place), override).startswith(f"share.toml, {mistake}")
 

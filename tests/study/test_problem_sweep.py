@@ -182,7 +182,7 @@ def axis(text, sampled=False):
 
 test_invalid_texts_are_refused = refusals(
     po.InputError,
-    (lambda: axis("5..5 kPa:9"), "from 5 to 5 is empty"),
+    (lambda: axis("5..5 kPa:9"), "lower 5 is not below upper 5"),
     (lambda: axis("5..45:9"), '"5" has no unit'),
     (lambda: axis("5..45 kpa:9"), "unknown unit 'kpa'"),
     (lambda: axis("5..45 kPa:1"), "number of values = 1"),
@@ -191,7 +191,7 @@ test_invalid_texts_are_refused = refusals(
     (lambda: axis("5..45 kPa:9", True), "does not use"),
     (lambda: axis("5, 45 kPa", True), "is not a range"),
     (lambda: axis("5 kPa"), "is one value"),
-    (lambda: axis("0..5 kPa:3 log"), "begin above 0"),
+    (lambda: axis("0..5 kPa:3 log"), "needs a lower bound above 0"),
     (lambda: axis("..5 kPa:3"), "is not a range"),
     (lambda: axis("5, 5 kPa"), "same value twice"),
     (lambda: axis("5..1e999 kPa:3"), "must be finite"),

@@ -100,7 +100,7 @@ WRONG_DISTRIBUTIONS = [
     ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
     ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion: its distribution has no median"),
     ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0"),
-    ({"within": {"cohesion": 30e3}}, "the bounds of cohesion are 30000.0: give two numbers"),
+    ({"within": {"cohesion": 30e3}}, "within: cohesion = 30000.0 must be a pair of numbers"),
     ({"within": {"friction_angle": (po.deg(34), po.deg(34))}}, "contradict"),
     ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "cohesion and friction_angle = -1 must be above -1"),
     ({"correlation": {("cohesion", "density"): 0.1}}, "no distribution"),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import (
     array_of,
+    check_bounds,
     check_domain,
     check_kind,
     check_named,
@@ -496,16 +497,12 @@ def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
         number = in_si(f"{side} bound of '{name}'", written, units[name].symbol)
         check_domain(f"{side} bound of '{name}'", number, units[name].symbol)
         numbers.append(float(number))
-    lower, upper = numbers[:2]
-    if not lower < upper:
-        raise InputError(f"'{name}': the lower bound {lower:g} must be below the upper bound {upper:g}")
+    check_bounds(f"'{name}'", *numbers)
+    lower, upper, *given = numbers
     log = lower > 0.0 and upper / lower >= _LOG_RATIO
     middle = math.sqrt(lower * upper) if log else (lower + upper) / 2.0
-    guess = numbers[2] if len(numbers) == 3 else current
-    if guess is None or (len(numbers) == 2 and not lower < guess < upper):
-        guess = middle
-    if not lower <= guess <= upper:
-        raise InputError(f"'{name}': the guess {guess:g} must lie between {lower:g} and {upper:g}")
+    default = current if current is not None and lower < current < upper else middle
+    guess = given[0] if given else default
     return Unknown(name, units[name].symbol, lower, upper, guess, log)
 
 

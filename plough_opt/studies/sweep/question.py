@@ -30,7 +30,7 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_switch, plain_number, shown, whole_number
+from plough_opt.core.checks import check_bounds, check_switch, plain_number, shown, whole_number
 from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import is_casadi
 from plough_opt.core.plain_data import Array
@@ -70,12 +70,8 @@ class Range:
         for side in ("lower", "upper"):
             # As floats, so that 1, 1.0 and NumPy's 1.0 give the same question in a store.
             object.__setattr__(self, side, plain_number("the end of a range", getattr(self, side)))
-        if not self.lower < self.upper:
-            empty = f"the range from {self.lower:g} to {self.upper:g} is empty"
-            raise InputError(f"{empty}: the first end must be the lower one")
         check_switch("log", self.log)
-        if self.log and not self.lower > 0.0:
-            raise InputError(f"a logarithmic range must begin above 0, not at {self.lower:g}")
+        check_bounds("a range", self.lower, self.upper, log=self.log)
         if self.count is not None and whole_number("the number of values", self.count, 2) > MOST_VALUES:
             given = f"the number of values is {self.count}"
             raise InputError(f"{given}: it can be at most {MOST_VALUES}; use a sample instead")

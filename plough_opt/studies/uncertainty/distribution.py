@@ -19,10 +19,13 @@ from scipy.stats import qmc
 from plough_opt.core.checks import (
     NOT_NUMBERS,
     array_of,
+    bound_of,
+    check_bounds,
     check_callable,
     check_kind,
     check_named,
     check_text,
+    pair_of,
     plain_number,
     shown,
     whole_number,
@@ -243,12 +246,10 @@ class Marginal:
                 f"{self.name}: {shown(self.distribution)} is not a distribution: give a frozen one of scipy.stats, such"
                 " as stats.lognorm(0.3, scale=20e3)"
             )
-        for side, bound in (("lower", self.lower), ("upper", self.upper)):
-            if not (isinstance(bound, float) and math.isinf(bound)):
-                # As a float, because SciPy cannot compute with integers of more than 63 bits.
-                object.__setattr__(self, side, plain_number(f"{self.name}: its {side} bound", bound))
-        if not self.lower < self.upper:
-            raise InputError(f"{self.name}: its bounds contradict: {self.lower:g} must be below {self.upper:g}")
+        for side in ("lower", "upper"):
+            # As a float, because SciPy cannot compute with integers of more than 63 bits.
+            object.__setattr__(self, side, bound_of(f"{self.name}: its {side} bound", getattr(self, side)))
+        check_bounds(self.name, self.lower, self.upper)
         with np.errstate(invalid="ignore"):
             middle = float(self._inverse(0.5))
         if not math.isfinite(middle):
@@ -378,7 +379,7 @@ class SoilDistribution:
         check_kind("the soil", soil, Soil, "a soil, which po.named_soil(...) or po.Soil(...) makes")
         for what, given in (("within", within), ("correlation", correlation)):
             check_kind(what, given, Mapping | None, "a dictionary with properties as keys")
-        bounds = {name: _pair_of(name, ends) for name, ends in (within or {}).items()}
+        bounds = {name: pair_of(f"within: {name}", ends) for name, ends in (within or {}).items()}
         for name in bounds:
             check_named("within names {}, which has no distribution", name, properties)
         ends = {name: bounds.get(name, (-math.inf, math.inf)) for name in properties}
@@ -539,17 +540,6 @@ class SoilDistribution:
                         f"the distribution of {name} reaches {value:.4g}, outside the model's domain: {error}; truncate"
                         f' it: within={{"{name}": (lower, upper)}}, in a file lower = ... and upper = ...'
                     ) from None
-
-
-def _pair_of(name: str, ends: Any) -> tuple[float, float]:
-    """Return two bounds as floats, or raise InputError if they are not two numbers."""
-    try:
-        lower, upper = map(float, ends)
-    except NOT_NUMBERS:
-        raise InputError(
-            f"within: the bounds of {name} are {shown(ends)}: give two numbers, SI units; either may be infinite"
-        ) from None
-    return lower, upper
 
 
 def _numbers(what: str, values: ArrayLike) -> Array:

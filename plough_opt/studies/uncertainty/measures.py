@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import LARGEST, LEAST, array_of, plain_number, shown
+from plough_opt.core.checks import LARGEST, LEAST, array_of, check_limits, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, is_casadi, maximum, minimum, sqrt, total, where
 
@@ -208,8 +208,7 @@ def probability(
         raise InputError("a probability needs a limit: give at_least, at_most or both")
     low = -math.inf if at_least is None else plain_number("at_least", at_least)
     high = math.inf if at_most is None else plain_number("at_most", at_most)
-    if low > high:
-        raise InputError(f"the limits of a probability contradict each other: at least {low:g}, at most {high:g}")
+    check_limits("a probability", low, high)
     column = _column(values)
     if not _is_smoothed("probability", column, width):
         return float(np.mean((column >= low) & (column <= high)))

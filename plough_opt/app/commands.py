@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any, Final
 from plough_opt.app import tables
 from plough_opt.app.main import MODELS, PART, RECORDED_SHARE, RIG, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, console, give, progress, quiet, read, wrote
+from plough_opt.core.checks import check_named
 from plough_opt.core.compiler import cache_folder
-from plough_opt.core.errors import InputError, NotConverged, about, nearest, printable
+from plough_opt.core.errors import InputError, NotConverged, about, printable
 from plough_opt.core.files import check_file, drawn, write_new
 from plough_opt.core.plain_data import json_text, to_plain
 from plough_opt.core.process import optional
@@ -605,8 +606,7 @@ def _split(option: str, text: str, marks: Sequence[str], example: str) -> tuple[
     first, _, second = (part.strip() for part in written.strip("\"'").partition(mark))
     if not (first and second):
         raise InputError(f"{option} {text}: expected KEY=..., like {example}")
-    if key not in quantities():
-        raise InputError(f"{option} {text}: '{key}' cannot be an unknown: {nearest(key, quantities())}")
+    check_named(f"{option} {text}: {{}} cannot be an unknown", key, quantities())
     return key, with_unit(first, second), second
 
 

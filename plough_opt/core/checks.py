@@ -127,7 +127,7 @@ def check_named(refusal: str, name: object, valid: Iterable[str]) -> None:
     names = tuple(valid)
     if not (isinstance(name, str) and name in names):
         word = name if isinstance(name, str) else shown(name)
-        raise InputError(f"{refusal.format(shown(name))}: {nearest(word, names)}")
+        raise InputError(f"{refusal.replace('{}', shown(name))}: {nearest(word, names)}")
 
 
 def mapping_of(what: str, value: Mapping[Any, Any] | None, wanted: str) -> Mapping[Any, Any]:

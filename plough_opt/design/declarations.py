@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_bounds, check_limits, check_switch, plain_number, shown
-from plough_opt.core.errors import InputError, nearest, short
+from plough_opt.core.checks import check_bounds, check_limits, check_named, check_switch, plain_number, shown
+from plough_opt.core.errors import InputError, short
 from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
 from plough_opt.core.units import Display, customary, in_si, in_words
 
@@ -228,8 +228,7 @@ class Declarations:
         """
         names = [p.name for p in self.parameters]
         for name in changed:
-            if name not in names:
-                raise InputError(f"'{name}' is not a parameter of this design: {nearest(name, names)}")
+            check_named("{} is not a parameter of this design", name, names)
         return np.array([p.at(changed[p.name]).value if p.name in changed else p.value for p in self.parameters])
 
     def plain(self, values: Sequence[float] | NDArray[np.float64]) -> dict[str, dict[str, str | float | None]]:

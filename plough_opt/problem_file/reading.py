@@ -584,8 +584,7 @@ def _check_name(
         everywhere: accept results that have a value at every output time.
     """
     allowed = [one for one, measure in known.items() if everywhere or not measure.everywhere]
-    if name not in allowed:
-        raise InputError(f"'{name}' cannot be {verb}: {nearest(name, [*allowed, *more])}")
+    check_named(f"{{}} cannot be {verb}", name, [*allowed, *more])
     known[name].check(name, law)
 
 

@@ -163,9 +163,8 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
                 whole_number(f"'{TABLE}.{key}'", entry, *_COUNTS[key])
             elif key == "correlation":
                 _check_correlation(entry, [name for name in table.uncertain if name.startswith("soil.")])
-            elif key not in properties:
-                raise InputError(f"'{key}' cannot be uncertain: {nearest(key, [*properties, *_COUNTS, 'correlation'])}")
             else:
+                check_named("{} cannot be uncertain", key, [*properties, *_COUNTS, "correlation"])
                 _check_property(table, key)
                 _check_distribution(source, key, entry)
     if not {*properties} & {*table.uncertain}:

@@ -138,6 +138,7 @@ def test_missing_folders_and_binary_files_are_refused(tmp_path, written):
 
 REFUSED = [
     (("mean_draft", []), {}, "there are no measurements"),
+    (("mean_drafts", [1.0]), {"name": "{1}"}, "{1}: 'mean_drafts' is not a measured result: did you mean"),
     (("mean_draft", [1.0, math.nan]), {}, "row 2: mean_draft = nan must be a finite number"),
     (("mean_draft", [1.0, -1.0]), {}, "row 2: mean_draft = -1 must be at least 0: forces count against the travel"),
     (("mean_draft", ["a"]), {}, "'mean_draft' must be a column of numbers"),

@@ -331,7 +331,7 @@ INVALID = [
     ({"own": (Shank(per_metre=-1e8),)}, {}, "the motion has no finite value at scene.stiffness = 50000 N/m"),
     ({"height": FREE}, {"inputs": [HEIGHT], "steel_density": 7850.0}, "needs a numeric scene"),
     ({}, {"inputs": [po.Input("k", 1.0, 2.0, symbol=2 * FREE)]}, "must be a scalar CasADi symbol"),
-    ({}, {"inputs": [FREE]}, "input MX(k) must be a name, or po.Input(name, ...)"),
+    ({}, {"inputs": [FREE]}, "input = MX(k) must be a name, or po.Input(name, ...)"),
     ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
     ({}, {"inputs": []}, "name at least one"),
     ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' has no fixed steps, as a component needs"),

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.errors import DomainError, InputError, nearest, unprintable
+from plough_opt.core.errors import DomainError, InputError, listed, nearest, unprintable
 from plough_opt.core.errors import shown as shown
 from plough_opt.core.expressions import (
     Expression,
@@ -112,8 +112,7 @@ def check_choice(what: str, value: object, choices: Sequence[str | None], more: 
         more: text appended to the message.
     """
     if not (isinstance(value, str | None) and value in choices):
-        *others, last = map(repr, choices)
-        raise InputError(f"{what} = {shown(value)} must be {', '.join(others)} or {last}{more}")
+        raise InputError(f"{what} = {shown(value)} must be {listed([*map(repr, choices)], 'or')}{more}")
 
 
 def check_named(refusal: str, name: object, valid: Iterable[str]) -> None:

@@ -232,9 +232,9 @@ def counted(notes: Iterable[tuple[str, int]], of: int, what: str) -> tuple[str, 
     return tuple(f"at {points} of {of} {what}: {text}" for text, points in notes)
 
 
-def listed(words: Sequence[str]) -> str:
+def listed(words: Sequence[str], by: str = "and") -> str:
     """Return words as "a", "a and b" or "a, b and c"."""
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+    return f" {by} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _merged(one: str, other: str) -> str:

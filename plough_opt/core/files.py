@@ -21,7 +21,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
-from plough_opt.core.errors import InputError, short, shown, unprintable
+from plough_opt.core.errors import InputError, listed, short, shown, unprintable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -239,8 +239,7 @@ def check_file(path: str | Path, kind: str, *endings: str) -> Path:
     """
     target = Path(path)
     if target.suffix.lower() not in endings:
-        valid = " or ".join(filter(None, (", ".join(endings[:-1]), endings[-1])))
-        raise InputError(f"'{path}' is not a valid file name for the {kind}: it must end in {valid}")
+        raise InputError(f"'{path}' is not a valid file name for the {kind}: it must end in {listed(endings, 'or')}")
     if target.is_dir():
         raise InputError(f"'{target}' is a folder: name a file in it")
     return target

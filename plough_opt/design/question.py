@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import (
-    NOT_NUMBERS,
+    array_of,
     check_choice,
     check_kind,
     check_switch,
@@ -407,10 +407,7 @@ def _expression(what: str, value: Column) -> ca.MX:
     if is_casadi(value):
         column: Column = ca.vec(ca.MX(value))
         return ca.MX(column)
-    try:
-        return ca.MX(ca.DM(np.atleast_1d(np.asarray(value, dtype=float))))
-    except NOT_NUMBERS:
-        raise InputError(f"{what}: {shown(value)} is neither an expression nor a number") from None
+    return ca.MX(ca.DM(array_of(value, f"{what}: {{}} is neither an expression nor a number").ravel()))
 
 
 @dataclass(frozen=True, eq=False)

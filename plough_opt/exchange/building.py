@@ -588,8 +588,7 @@ def _requests(given: Any, kind: type[_Request]) -> list[_Request]:
     check_kind(f"{word.lower()}s", given, str | Sequence, f"a list of names, or of po.{word}(name, ...)")
     requests = [kind(one) if isinstance(one, str) else one for one in ([given] if isinstance(given, str) else given)]
     for one in requests:
-        if not isinstance(one, kind):
-            raise InputError(f"{word.lower()} {shown(one)} must be a name, or po.{word}(name, ...)")
+        check_kind(word.lower(), one, kind, f"a name, or po.{word}(name, ...)")
     return requests
 
 

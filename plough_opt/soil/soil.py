@@ -9,7 +9,16 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from plough_opt.core.checks import LARGEST, array_of, check_kind, check_named, check_text, shown, whole_number
+from plough_opt.core.checks import (
+    LARGEST,
+    array_of,
+    check_callable,
+    check_kind,
+    check_named,
+    check_text,
+    shown,
+    whole_number,
+)
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import (
     COUNT,
@@ -65,8 +74,7 @@ class DensityProfile:
     order: int = field(default=16, metadata=COUNT)
 
     def __post_init__(self) -> None:
-        if not callable(self.density):
-            raise InputError(f"the density profile {shown(self.density)} must be a function of the radius, in kg/m^3")
+        check_callable("the density profile", self.density, "of the radius, in kg/m^3")
         whole_number("order", self.order, 1)
 
     def at(self, r: Expression) -> Expression:

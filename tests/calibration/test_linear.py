@@ -337,7 +337,7 @@ REFUSED_DATA = [
     (steady_scene(), po.Measurements("mean_draft", [0.0] * 3, name="zeros"), "zeros: every measured value is 0"),
     (steady_scene(), [[1.0, 2.0]], "the data must be Measurements"),
     (3.0, FEW, "must be a Problem, a Scene, or a function"),
-    (len, FEW, "the function of values returned 3: it must return a Scene"),
+    (len, FEW, "what the function of values returns = 3 must be a Scene"),
     (steady_scene(po.Design().variable("v", guess=2.0, lower=1.0, upper=3.0)), FEW, "the scene holds symbols"),
     (CONE, ANGLES, "the scene has no 'share.wedge_angle'"),
 ]

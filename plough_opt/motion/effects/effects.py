@@ -109,11 +109,8 @@ class Effects:
 
     def __post_init__(self) -> None:
         self._check_types()
-        resisting = isinstance(self.contact, str) and self.contact == "resisting"
-        if not resisting and not isinstance(self.contact, Smooth | StickSlip):
-            raise InputError(
-                f"contact = {shown(self.contact)} must be 'resisting', Smooth(width) or StickSlip(breakaway)"
-            )
+        if not isinstance(self.contact, Smooth | StickSlip):
+            check_choice("contact", self.contact, ("resisting",), ", Smooth(width) or StickSlip(breakaway)")
         if not isinstance(self.orbit, HarmonicBalance):
             words = ("transient", "periodic", "linearised")
             check_choice("orbit", self.orbit, words, ", or HarmonicBalance(harmonics)")

@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import shown
+from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_quantity, map_expressions, template_of
 from plough_opt.motion.effects.terms import Parameters, Place, Rates, Term, Towed
@@ -96,8 +96,7 @@ def check_own(own: Any, resting: bool) -> None:
     Raises:
         InputError: they have the wrong type, a repr that may not be distinct, or no ``at_rest`` where it is required.
     """
-    if not isinstance(own, tuple):
-        raise InputError(f"own = {shown(own)} must be a tuple of effects, such as (Shank(150.0, 80.0),)")
+    check_kind("own", own, tuple, "a tuple of effects, such as (Shank(150.0, 80.0),)")
     for effect in own:
         name = type(effect).__name__
         if isinstance(effect, type) or not (is_dataclass(effect) and isinstance(effect, OwnResistance)):

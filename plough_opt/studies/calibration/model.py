@@ -425,8 +425,7 @@ class CalibrationModel:
     def scene(self, values: Mapping[str, Expression]) -> Scene:
         """Return the scene with changed values; a duration among them is ignored, as it is not part of the scene."""
         scene = self.build({key: value for key, value in values.items() if key != _DURATION})
-        if not isinstance(scene, Scene):
-            raise InputError(f"the function of values returned {shown(scene)}: it must return a Scene")
+        check_kind("what the function of values returns", scene, Scene, "a Scene")
         return scene
 
     def duration_of(self, values: Mapping[str, Expression]) -> Expression | None:

@@ -9,7 +9,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -56,20 +56,25 @@ _OVERFLOW = "beyond that, products of quantities overflow or underflow: check it
 _LEAST_BYTES = 4
 
 
-def array_of(values: Any, refusal: str) -> NDArray[np.float64]:
+def array_of(
+    values: Any, refusal: str, valid: Callable[[NDArray[np.float64]], object] = lambda _: True
+) -> NDArray[np.float64]:
     """Return a copy of values as an array of floats.
 
     Args:
         values: any.
-        refusal: message for values that are not numbers, with {} for the values, which are printed only then.
+        refusal: message for values that are refused, with {} for the values, which are printed only then.
+        valid: whether an array is accepted; default: any.
 
     Raises:
-        InputError: the values are not numbers.
+        InputError: the values are not numbers, or not valid.
     """
-    try:
-        return np.array(values, dtype=float)
-    except NOT_NUMBERS:
-        raise InputError(refusal.replace("{}", shown(values))) from None
+    found = None
+    with suppress(*NOT_NUMBERS):
+        found = np.array(values, dtype=float)
+    if found is None or not valid(found):
+        raise InputError(refusal.replace("{}", shown(values)))
+    return found
 
 
 def check_kind(what: str, value: object, kind: type | UnionType, wanted: str) -> None:

@@ -491,9 +491,8 @@ class NonlinearProgram:
         Raises:
             InputError: there is another number of them.
         """
-        numbers = np.asarray(x, dtype=float).ravel()
-        if numbers.shape != self.x0.shape:
-            raise InputError(f"x = {shown(x)} must hold {len(self.x0)} scaled variables, not {numbers.size}")
+        count = len(self.x0)
+        numbers = array_of(x, f"x = {{}} must hold {count} scaled variables", lambda array: array.size == count).ravel()
         return {v.name: v.value(y) for v, y in zip(self._declared.variables, numbers.tolist(), strict=True)}
 
 

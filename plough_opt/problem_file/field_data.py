@@ -56,12 +56,12 @@ class Penetrometer:
 
     def __post_init__(self) -> None:
         check_text("the name of a penetrometer's file", self.name)
-        given = f"insertions = {shown(self.insertions)}"
-        wrong = f"{self.name}: {given} must be cone indices above 0 in Pa, one for each insertion"
-        found = array_of(self.insertions, wrong)
-        if found.ndim != 1 or not found.size or not np.all((found >= LEAST) & (found <= LARGEST)):
-            raise InputError(wrong)
-        object.__setattr__(self, "insertions", found)
+        wrong = f"{self.name}: insertions = {{}} must be cone indices above 0 in Pa, one for each insertion"
+
+        def valid(found: Vector) -> bool:
+            return found.ndim == 1 and found.size > 0 and bool(np.all((found >= LEAST) & (found <= LARGEST)))
+
+        object.__setattr__(self, "insertions", array_of(self.insertions, wrong, valid))
 
     @property
     def mean(self) -> float:

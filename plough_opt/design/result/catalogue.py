@@ -355,9 +355,7 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     catalogue = in_si(what, catalogue, v.unit) if has_unit(catalogue) else catalogue
     if isinstance(catalogue, list | tuple):
         catalogue = [in_si(what, value, v.unit) for value in catalogue]
-    values = array_of(catalogue, wrong).ravel()
-    if not values.size or not np.all(np.isfinite(values)):
-        raise InputError(wrong)
+    values = array_of(catalogue, wrong, lambda array: array.size and np.all(np.isfinite(array))).ravel()
     reserve = _VALUES.beyond_bound * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
         step = plain_number(f"the step of '{v.name}'", values[0], v.unit, above=0.0)

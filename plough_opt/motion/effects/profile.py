@@ -109,10 +109,7 @@ def _check_sign(times: NDArray[np.float64], speeds: NDArray[np.float64]) -> None
 def _numbers(piece: Any) -> tuple[float, ...]:
     """Return the coefficients of a piece; raise InputError if they are not numbers."""
     wrong = "a piece of a speed profile, {}, must be a list of numbers"
-    row = array_of(piece, wrong)
-    if row.ndim != 1 or not row.size:
-        raise InputError(wrong.format(shown(piece)))
-    return tuple(row.tolist())
+    return tuple(array_of(piece, wrong, lambda row: row.ndim == 1 and row.size).tolist())
 
 
 def profile_of(speed: Any, duration: float) -> tuple[float, SpeedProfile]:
@@ -183,10 +180,7 @@ def _approximated(speed: Callable[[float], Any], duration: float) -> tuple[list[
 
     def values(times: Any) -> Any:
         wrong = "tow_speed(t) returned {}: it must return a number [m/s]"
-        found = array_of([speed(float(t)) for t in times], wrong)
-        if found.ndim != 1:
-            raise InputError(wrong.format(shown(found[0])))
-        return found
+        return array_of([speed(float(t)) for t in times], wrong, lambda found: found.ndim == 1)
 
     grid = np.linspace(0.0, 1.0, _INTERVALS_OF_TIME + 1)
     speeds = values(duration * grid)

@@ -129,10 +129,9 @@ class Calibration:
         started = time.perf_counter()
         data = self.setup.data
         if observed is not None:
-            expected = f"observed must be {len(data.observed)} finite numbers, one for each row"
-            values = array_of(observed, expected)
-            if values.shape != data.observed.shape or not np.all(np.isfinite(values)):
-                raise InputError(expected)
+            rows = data.observed.shape
+            expected = f"observed must be {rows[0]} finite numbers, one for each row"
+            values = array_of(observed, expected, lambda array: array.shape == rows and np.all(np.isfinite(array)))
             data = replace(data, observed=values)
         return reported(self.title, estimate(self.setup, data, self.setup.model.guess, self.starts), started)
 

@@ -272,10 +272,9 @@ class TradeOff(Saveable):
         front = self.objectives * self._signs
         if reference is None:
             return volume(front, front.max(axis=0))
-        wrong = f"reference = {shown(reference)} must be {len(self.goals)} objectives, finite numbers"
-        corner = array_of(reference, wrong)
-        if corner.shape != (len(self.goals),) or not np.all(np.isfinite(corner)):
-            raise InputError(wrong)
+        shape = (len(self.goals),)
+        wrong = f"reference = {{}} must be {len(self.goals)} objectives, finite numbers"
+        corner = array_of(reference, wrong, lambda array: array.shape == shape and np.all(np.isfinite(array)))
         return volume(front, corner * self._signs)
 
     @property

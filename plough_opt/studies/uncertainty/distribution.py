@@ -544,11 +544,9 @@ class SoilDistribution:
 
 def _numbers(what: str, values: ArrayLike) -> Array:
     """Return a number or an array as an array; raise InputError for anything else, including NaN."""
-    refusal = f"{what} = {shown(values)} must be a number or an array of numbers"
-    array = array_of(values, refusal)
-    if isinstance(values, str | bytes | bool | np.bool_) or np.any(np.isnan(array)):
-        raise InputError(refusal)
-    return array
+    alike = isinstance(values, str | bytes | bool | np.bool_)  # which NumPy takes for numbers
+    refusal = f"{what} = {{}} must be a number or an array of numbers"
+    return array_of(values, refusal, lambda array: not alike and not np.any(np.isnan(array)))
 
 
 def _check_draw(count: int, seed: int) -> None:

@@ -269,11 +269,6 @@ def quantities() -> dict[str, Unit]:
     return {name: Unit(quantity.unit) for name, quantity in IN_FILES.items()}
 
 
-def every_quantity() -> dict[str, Unit]:
-    """Return the name of every quantity with its unit, including those that problem files do not have."""
-    return {name: Unit(quantity.unit) for name, quantity in EVERY.items()}
-
-
 def warn_of_slips(what: str, unit: str, values: Iterable[Any]) -> None:
     """Warn of plain numbers that are implausible for every quantity with their unit.
 

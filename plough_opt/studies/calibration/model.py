@@ -31,7 +31,7 @@ from plough_opt.core.checks import (
 from plough_opt.core.errors import DomainError, InputError, about
 from plough_opt.core.expressions import ByValue, Column, Expression, as_number, is_symbolic, stacked
 from plough_opt.core.plain_data import Array, MaybeInfinite
-from plough_opt.core.quantities import every_quantity, quantities
+from plough_opt.core.quantities import EVERY, quantities
 from plough_opt.core.tables import columns_of, heading_of, raise_listed, read_rows, table_of
 from plough_opt.core.units import Unit, in_si
 from plough_opt.design.declarations import Scaled
@@ -53,7 +53,7 @@ def measurable() -> tuple[str, ...]:
 
 def result_unit(name: str) -> Unit:
     """Return the SI unit of a result, or of a quantity that is measured directly."""
-    return MEASURES[name].unit if name in measurable() else every_quantity()[name]
+    return MEASURES[name].unit if name in measurable() else Unit(EVERY[name].unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +109,10 @@ class Measurements(ByValue):
         check_text("the name of measurements", name)
         check_kind(f"{name}: lines", lines, Sequence, "a list of the rows' line numbers")
         conditions = mapping_of(f"{name}: conditions", conditions, "a quantity's key -> its values")
-        known = every_quantity()
-        if not (isinstance(result, str) and result in known):
+        if not (isinstance(result, str) and result in EVERY):
             check_named(f"{name}: {{}} is not a measured result", result, measurable())
         for key in conditions:
-            check_named(f"{name}: {{}} is not a quantity of a scene", key, known)
+            check_named(f"{name}: {{}} is not a quantity of a scene", key, EVERY)
             if key == result:
                 raise InputError(f"{name}: '{key}' is both measured and a condition")
         vars(self).update(result=result, name=name, lines=tuple(lines))
@@ -487,14 +486,14 @@ def _current(scene: Scene) -> dict[str, float]:
 
 def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
     """Return an unknown; the default guess is the scene's value if it is between the bounds, otherwise their middle."""
-    units = every_quantity()
-    check_named("{} cannot be an unknown", name, units)
+    check_named("{} cannot be an unknown", name, EVERY)
+    unit = EVERY[name].unit
     if isinstance(bounds, str) or not isinstance(bounds, Sequence) or len(bounds) not in (2, 3):
         raise InputError(f"'{name}' = {shown(bounds)} must be (lower, upper) or (lower, upper, guess)")
     numbers = []
     for side, written in zip(("lower", "upper", "guess"), bounds, strict=False):
-        number = in_si(f"{side} bound of '{name}'", written, units[name].symbol)
-        check_domain(f"{side} bound of '{name}'", number, units[name].symbol)
+        number = in_si(f"{side} bound of '{name}'", written, unit)
+        check_domain(f"{side} bound of '{name}'", number, unit)
         numbers.append(float(number))
     check_bounds(f"'{name}'", *numbers)
     lower, upper, *given = numbers
@@ -502,7 +501,7 @@ def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
     middle = math.sqrt(lower * upper) if log else (lower + upper) / 2.0
     default = current if current is not None and lower < current < upper else middle
     guess = given[0] if given else default
-    return Unknown(name, units[name].symbol, lower, upper, guess, log)
+    return Unknown(name, unit, lower, upper, guess, log)
 
 
 SceneOfRows: TypeAlias = tuple[Scene, Expression | None, NDArray[np.intp]]

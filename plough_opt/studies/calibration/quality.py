@@ -13,7 +13,7 @@ from plough_opt.core.checks import check_kind, check_named, plain_number, whole_
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, NotConverged
 from plough_opt.core.expressions import ByValue, as_number
 from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite
-from plough_opt.core.quantities import every_quantity
+from plough_opt.core.quantities import EVERY
 from plough_opt.core.units import in_words
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
@@ -160,7 +160,7 @@ class Candidate:
             return self.why
         if not self.conditions:
             return f"{self.result} again"
-        words = (f"{key} = {in_words(x, every_quantity()[key].symbol, 3)}" for key, x in self.conditions.items())
+        words = (f"{key} = {in_words(x, EVERY[key].unit, 3)}" for key, x in self.conditions.items())
         return f"{self.result} at {', '.join(words)}"
 
 

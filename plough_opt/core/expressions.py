@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, short
 from plough_opt.core.plain_data import NUMBERS
 
 
@@ -74,8 +74,6 @@ _SERIES_BELOW = 0.5
 # Near zero variance the square root has no derivative, so a symbolic RMS is smoothed there. This fraction of the
 # steady force bounds the change.
 _LEAST_RMS = 1e-12
-# Most characters of an expression in a message.
-_LONGEST_SHOWN = 80
 
 
 COUNT = {"quantity": False}
@@ -101,9 +99,7 @@ def as_number(value: Any) -> NDArray[np.float64]:
     if isinstance(value, float):
         return np.asarray(value)
     if is_symbolic(value):
-        text = str(value)
-        shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
-        raise InputError(f"'{shown}' holds symbols and so has no value yet: evaluate it with best(...)")
+        raise InputError(f"'{short(str(value))}' holds symbols and so has no value yet: evaluate it with best(...)")
     if isinstance(value, ca.SX):
         value = ca.DM(value)
     elif isinstance(value, ca.MX):

@@ -6,7 +6,7 @@ import math
 import operator
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
@@ -428,9 +428,7 @@ def valid_keys(path: tuple[str, ...]) -> list[str]:
 
 def at(table: Any, key: str) -> Any:
     """Return the value of a dotted key, or None."""
-    for part in key.split("."):
-        table = getattr(table, part) if table is not None else None
-    return table
+    return reduce(lambda inner, part: getattr(inner, part, None), key.split("."), table)
 
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from plough_opt.core.errors import DomainError, InputError, nearest, short, unprintable
+from plough_opt.core.errors import DomainError, InputError, about, nearest, short, unprintable
 from plough_opt.core.files import BYTE_ORDER_MARK, read_text
 from plough_opt.core.tables import raise_listed
 from plough_opt.core.units import Display, Unit, display_of
@@ -370,10 +370,8 @@ def read_axis(text: str, unit: Unit, *, sampled: bool) -> tuple[Axis, Display]:
     count = None if match["count"] is None else _count(match["count"].strip(), unit)
     if low != high:  # the ends have different units, so the steps are even in SI
         lower, upper, low = lower * low, upper * high, 1.0
-    try:
+    with about(f'"{text}":'):
         found = Range(lower, upper, count, log)
-    except InputError as error:
-        raise InputError(f'"{text}": {error}') from None
     shown = display_of(f"1 {_unit(written)}".strip() if _unit(written) else written, unit)
     if count is None and not sampled:
         raise InputError(f'"{text}" has no number of values: {_how(unit)}')

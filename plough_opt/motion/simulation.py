@@ -190,8 +190,7 @@ def _read(
         methods = " or ".join(map(repr, locating()))
         raise InputError(f"{method} cannot locate the events of stick and slip or entry: use {methods}")
     found = duration_of(scene, duration, stacklevel=4)
-    if isinstance(found, np.ndarray) and found.ndim > 0:
-        raise InputError(f"the duration is an array of {found.size} values: simulate accepts one at a time")
+    check_single("simulate", found)
     if tow_speed is not None:
         if is_symbolic(found):
             raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")

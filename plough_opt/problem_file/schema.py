@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model
+from pydantic.json_schema import GenerateJsonSchema
 
 from plough_opt.core import expressions
 from plough_opt.core.checks import check_named, shown
@@ -445,11 +446,9 @@ def file_schema() -> dict[str, Any]:
         >>> file_schema()["properties"]["title"]["type"]
         'string'
     """
-    schema = ProblemFile.model_json_schema()
+    schema = ProblemFile.model_json_schema(schema_generator=_WithoutNull)
     single = [name for name, measure in MEASURES.items() if not measure.everywhere]
     definitions, tables = schema["$defs"], schema["properties"]
-    for table in (VariableTable, TermTable, LimitTable):
-        definitions[table.__name__] = table.model_json_schema()
     tables["variables"] = _of(IN_FILES, "VariableTable", {name: EVERY[name].meaning for name in IN_FILES})
     tables["minimise"] = _of(single, "TermTable", others=True)
     tables["minimise"]["properties"]["over"] = {"enum": ["worst", "mean"]}
@@ -467,21 +466,18 @@ def file_schema() -> dict[str, Any]:
     own["variables"] = _of(IN_FILES, "VariableOfShare")
     share = {"type": "object", "properties": own, "additionalProperties": False}
     tables["shares"] = {"type": "object", "additionalProperties": share}
-    return {"$schema": _DIALECT, **_without_null(schema), "title": "plough_opt problem file"}
+    return {"$schema": _DIALECT, **schema, "title": "plough_opt problem file"}
 
 
-def _without_null(schema: Any) -> Any:
-    """Return a schema without null, which pydantic allows for optional keys but TOML does not have."""
-    if isinstance(schema, list):
-        return [_without_null(part) for part in schema]
-    if not isinstance(schema, dict):
-        return schema
-    found = {key: _without_null(part) for key, part in schema.items() if (key, part) != ("default", None)}
-    rest = [part for part in found.get("anyOf", ()) if part != {"type": "null"}]
-    if len(rest) == 1:
-        del found["anyOf"]
-        return rest[0] | found
-    return found | ({"anyOf": rest} if rest else {})
+class _WithoutNull(GenerateJsonSchema):
+    """A schema without null, which pydantic allows for optional keys but TOML does not have."""
+
+    def nullable_schema(self, schema: Any) -> dict[str, Any]:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: Any) -> dict[str, Any]:
+        found = super().default_schema(schema)
+        return {key: part for key, part in found.items() if (key, part) != ("default", None)}
 
 
 def _of(

@@ -394,13 +394,13 @@ def test_an_edited_record_and_an_own_law_are_another_question(monkeypatch):
     problem = po.read_problem(SUBSOILER, ["scene.duration=0.2 s"])
 
     def question(**changes):
-        return ProblemSweep.of(replace(problem, **changes), {"soil.cohesion": [1e4, 2e4]}).question
+        return ProblemSweep.of(replace(problem, **changes), {"soil.cohesion": [1e4, 2e4]}, "optimise").question
 
     def changed(**changes):
-        return {key for key, text in question(**changes).items() if text != before[key]}
+        return {key for key, text in question(**changes).items() if text != before.get(key)}
 
     before = question(data={"record.csv": "0.00, 1564"})
     assert changed(data={"record.csv": "0.00, 1564"}) == set()
-    assert changed(data={"record.csv": "0.00, 1565"}) == {"content of record.csv"}
+    assert changed(data={"record.csv": "0.00, 1565"}, over="worst") == {"content of record.csv", "minimise.over"}
     monkeypatch.setitem(po.laws.LAWS, "own", type("Own", (), {"reaction": lambda _self, _at: 1.0}))
     assert changed() == {"laws, effects, measures and methods"}

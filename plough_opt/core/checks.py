@@ -411,10 +411,11 @@ def whole_number(what: str, value: Any, least: int = 0, most: float = math.inf) 
     return int(value)
 
 
-def check_text(what: str, value: Any) -> None:
-    """Raise InputError if a value is not a string of printable characters."""
-    if not isinstance(value, str) or unprintable(value, allowed=""):
-        raise InputError(f"{what} = {shown(value)} must be a string of printable characters")
+def check_text(what: str, value: Any, *, blank: bool = True) -> None:
+    """Raise InputError if a value is not a string of printable characters, or if it is blank where it may not be."""
+    if not isinstance(value, str) or unprintable(value, allowed="") or not (blank or value.strip()):
+        more = "" if blank else ", and not blank"
+        raise InputError(f"{what} = {shown(value)} must be a string of printable characters{more}")
 
 
 def check_single(what: str, values: Any) -> None:

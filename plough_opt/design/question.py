@@ -22,7 +22,7 @@ from plough_opt.core.checks import (
     shown,
     whole_number,
 )
-from plough_opt.core.errors import InputError, unprintable
+from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.core.process import without_notices
 from plough_opt.core.quantities import warn_of_slips
@@ -356,7 +356,7 @@ class Design:
         return Declarations(tuple(self._variables), tuple(self._parameters), self._objective, tuple(self._requirements))
 
     def _refuse_again(self, name: str) -> None:
-        _check_name(name)
+        check_text("name", name, blank=False)
         taken = [*(v.name for v in self._variables), *(p.name for p in self._parameters)]
         if name in [*taken, *(r.name for r in self._requirements)]:
             raise InputError(f"'{name}' is declared already: variables, parameters and requirements need unique names")
@@ -392,12 +392,6 @@ def _read(
         for value, side in zip(values, sides, strict=False)
     ]
     return numbers, unit, display or written
-
-
-def _check_name(name: Any) -> None:
-    """Raise InputError if a name is not a printable text."""
-    if not isinstance(name, str) or not name.strip() or unprintable(name, allowed=""):
-        raise InputError(f"name = {shown(name)} must be a text that says what it is, such as 'share height'")
 
 
 def _expression(what: str, value: Column) -> ca.MX:

@@ -76,7 +76,7 @@ def test_every_declaration_needs_a_new_name(name):
     d, x = design(x=(0.5, 0.0, 1.0))
     d.parameter("p", 1.0)
     d.require("r", x, at_most=1.0)
-    message = f"'{name}' is declared already" if name in ("x", "p", "r") else r"name = .* must be a text"
+    message = f"'{name}' is declared already" if name in ("x", "p", "r") else r"name = .* must be a string of printable"
     for declare in (
         lambda: d.variable(name, **VALID),
         lambda: d.parameter(name, 1.0),

@@ -490,11 +490,8 @@ def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
     unit = EVERY[name].unit
     if isinstance(bounds, str) or not isinstance(bounds, Sequence) or len(bounds) not in (2, 3):
         raise InputError(f"'{name}' = {shown(bounds)} must be (lower, upper) or (lower, upper, guess)")
-    numbers = []
-    for side, written in zip(("lower", "upper", "guess"), bounds, strict=False):
-        number = in_si(f"{side} bound of '{name}'", written, unit)
-        check_domain(f"{side} bound of '{name}'", number, unit)
-        numbers.append(float(number))
+    whats = (f"{side} bound of '{name}'" for side in ("lower", "upper", "guess"))
+    numbers = [plain_number(what, in_si(what, one, unit), unit) for what, one in zip(whats, bounds, strict=False)]
     check_bounds(f"'{name}'", *numbers)
     lower, upper, *given = numbers
     log = lower > 0.0 and upper / lower >= _LOG_RATIO

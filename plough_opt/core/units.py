@@ -22,6 +22,8 @@ _QUANTITY = re.compile(
     r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
     r"(?P<unit>(?:[^\W\d_]|[°%])(?:[\w°%/*^.·³²()-]| (?=\S))*|)\s*"
 )
+PER_CENT: Final = re.compile(r"\s*((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*%\s*")
+"""A percentage that is not negative; its group is the number."""
 _THOUSANDS: Final = re.compile(r"\s*[+-]?[0-9]{1,3},[0-9]{3}(?![0-9])")
 # Most characters of a quantity.
 _LONGEST: Final = 100

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import check_bounds, check_limits, check_named, check_switch, plain_number, shown
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
-from plough_opt.core.units import Display, customary, in_si, in_words
+from plough_opt.core.units import PER_CENT, Display, customary, in_si, in_words
 
 # A saved result quotes at most this many characters of an expression: a whole one fills pages.
 _MOST_CHARACTERS = 400
@@ -106,7 +105,7 @@ class Variable(Scaled):
         """
         given = self.tolerance
         part: Expression = 1.0
-        if isinstance(given, str) and (number := _PER_CENT.fullmatch(given)):
+        if isinstance(given, str) and (number := PER_CENT.fullmatch(given)):
             given, part = float(number[1]), absolute(value) / 100.0
         # A NumPy float of few bytes could not be compared with the largest float.
         given = float(given) if isinstance(given, np.floating) else given
@@ -121,7 +120,6 @@ class Variable(Scaled):
 
 # Half width of the tolerance interval if none is declared, as a part of the range of the scaled variable.
 _DEFAULT_TOLERANCE = 0.003
-_PER_CENT = re.compile(r"\s*((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*%\s*")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-import re
 import tomllib
 import typing
 from collections.abc import Iterable, Mapping
@@ -23,7 +22,7 @@ from plough_opt.core.checks import check_bounds, check_kind, check_limits, check
 from plough_opt.core.errors import DomainError, InputError, about, nearest, short
 from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
-from plough_opt.core.units import Display, Unit, display_of, in_words
+from plough_opt.core.units import PER_CENT, Display, Unit, display_of, in_words
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.vocabulary import Measure
@@ -50,7 +49,6 @@ from plough_opt.soil.soil import STANDARD_ATMOSPHERE, Soil, compression_test, na
 if TYPE_CHECKING:
     from plough_opt.design import Over
 
-_PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")
 # Length of a change in characters: an inline table must fit, and no sensible change is longer.
 _MAX_LENGTH: Final = 2_000
 # Characters of a change that messages quote.
@@ -237,21 +235,19 @@ def _catalogue(
     source: Source, key: str, declared: VariableTable, lower: float, upper: float
 ) -> tuple[float, ...] | float | None:
     """Return the values or the step of a variable, in SI; raise InputError if none lies between its bounds."""
-    unit, place = quantities()[key], ("variables", key, "catalogue")
+    unit, ends = quantities()[key], f"{declared.lower} to {declared.upper}"
+    place = ("variables", key, "catalogue" if declared.step is None else "step")
     if declared.step is not None:
         if declared.catalogue is not None:
             raise InputError(f"'{key}' has a catalogue and a step: remove one")
-        place = ("variables", key, "step")
         step = source.parsed(place, unit, declared.step, f"'{key}' step")
         if step <= 0.0 or math.floor(upper / step) < math.ceil(lower / step):
-            ends = f"{declared.lower} to {declared.upper}"
             raise source.error(place, f"'{key}' step = {declared.step} must be above 0, with a multiple in {ends}")
         return step
     if declared.catalogue is None:
         return None
     found = tuple(source.parsed(place, unit, one, f"'{key}' catalogue") for one in declared.catalogue)
     if not any(lower <= value <= upper for value in found):
-        ends = f"{declared.lower} to {declared.upper}"
         raise source.error(place, f"no value in the catalogue of '{key}' lies between its bounds {ends}: add one")
     return found
 
@@ -259,7 +255,7 @@ def _catalogue(
 def _tolerance(source: Source, key: str, written: str | float | None) -> float | str | None:
     """Return the half width of a tolerance: a number in SI, or a percentage of the value as text."""
     place = ("variables", key, "tolerance")
-    if written is None or (isinstance(written, str) and _PER_CENT.fullmatch(written)):
+    if written is None or (isinstance(written, str) and PER_CENT.fullmatch(written)):
         return written
     more = ', or a percentage of the value like "0.5 %"'
     half = source.parsed(place, quantities()[key], written, f"'{key}' tolerance", more)

@@ -73,7 +73,7 @@ class Range:
         check_switch("log", self.log)
         check_bounds("a range", self.lower, self.upper, log=self.log)
         if self.count is not None and whole_number("the number of values", self.count, 2) > MOST_VALUES:
-            given = f"the number of values is {self.count}"
+            given = f"the number of values is {shown(self.count)}"
             raise InputError(f"{given}: it can be at most {MOST_VALUES}; use a sample instead")
 
     def values(self) -> tuple[float, ...]:

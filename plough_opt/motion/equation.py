@@ -316,7 +316,7 @@ class Structure:
             others.append(force * (speed + rate))
         return stacked(deflection, rate, *squared, *others, *squared)
 
-    def averages(self, p: Parameters, means: Column, variances: Column) -> tuple[Expression, ...]:
+    def averages(self, p: Parameters, means: Column, variances: Column) -> tuple[Column, ...]:
         """Return the averages of a run.
 
         Args:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, reduce
 from typing import Any
@@ -35,6 +35,7 @@ from plough_opt.core.plain_data import Array
 from plough_opt.motion.batch.series import Graph, Series, Switch, series_of
 from plough_opt.motion.effects import StrengthWaves
 from plough_opt.motion.equation import Equation, Structure, parameters
+from plough_opt.motion.run import Averages
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.plan import rates
 
@@ -80,6 +81,11 @@ class Layout:
     def names(self) -> tuple[str, ...]:
         """Names of the equation's parameters."""
         return self.equation.names
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """Names of all parameters of the terms; events, which a batch does not have, would change the mass."""
+        return tuple(name for name in self.structure.names if name != "mass")
 
     @property
     def ends(self) -> tuple[int, ...]:
@@ -150,7 +156,7 @@ class StepStart:
         return series_of(graph, function, [[graph.clock(self.state[0])], motion, known])
 
 
-RESULTS = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+RESULTS = tuple(Averages.__dataclass_fields__)
 """Names of the results of each design, before its error."""
 
 # Keeps the allowed error of a step above zero if nothing moves the share.
@@ -169,48 +175,29 @@ _MOMENTS = 8
 _GOLDEN_SECTION = (math.sqrt(5.0) - 1.0) / 2.0
 
 
-@dataclass(frozen=True)
-class StartValues:
-    """Values that the results need besides the averages, in the order in which `setup` returns them.
+def results_of(layout: Layout, known: Mapping[str, Array], state: Array) -> Array:
+    """Return `RESULTS` and the relative error, a row each.
 
-    Attributes:
-        rate: w' at the start [m/s].
-        phase: of the whole run [rad].
-        force: mount force at the start [N].
-        deflection: of the spring at the start [m].
-        tow_speed: of the strut, after a ramp [m/s].
+    Args:
+        layout: of the state.
+        known: `Layout.known` by name.
+        state: at the end, from the means on, a row each.
     """
-
-    rate: Column
-    phase: Column
-    force: Column
-    deflection: Column
-    tow_speed: Column
-
-    def results(self, layout: Layout, p: Array, state: Array) -> Array:
-        """Return `RESULTS` and the relative error, a row each.
-
-        Args:
-            layout: of parameters and state.
-            p: parameters of the steps, a row each.
-            state: at the end, from the means on, a row each.
-        """
-        means, variances, _ = np.split(state, [layout.equation.count, layout.equation.averages])
-        spring, displacement_rms = p[layout.names.index("stiffness")], np.sqrt(variances[0])
-        stiffness = np.abs(spring)  # a repelling spring has a negative one
-        # Without a damper the mount force is that of the spring, and there is no signal for it.
-        mean_draft = self.force + (means[1] if layout.equation.squared > 1 else spring * means[0])
-        force_rms = np.sqrt(variances[1]) if layout.equation.squared > 1 else stiffness * displacement_rms
-        tow_power = means[-1] if layout.structure.ramp else mean_draft * self.tow_speed
-        size = np.maximum(np.abs(mean_draft), force_rms)
-        error = np.divide(np.sqrt(state[-1]) * stiffness, size, out=np.zeros_like(size), where=size != 0.0)
-        # Motions that diverge for very long leave the range of floating point.
-        error[np.isnan(error)] = np.inf
-        return np.stack([mean_draft, force_rms, self.deflection + means[0], displacement_rms, tow_power, error])
+    means, variances, _ = np.split(state, [layout.equation.count, layout.equation.averages])
+    found = layout.structure.averages(known, means, variances)
+    size = np.maximum(np.abs(found[0]), found[1])
+    stiffness = np.abs(known["stiffness"])  # a repelling spring has a negative one
+    error = np.divide(np.sqrt(state[-1]) * stiffness, size, out=np.zeros_like(size), where=size != 0.0)
+    # Motions that diverge for very long leave the range of floating point.
+    error[np.isnan(error)] = np.inf
+    return np.stack([*found, error])
 
 
 def setup(layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[Column], error: float) -> ca.Function:
-    """Return a Function of the inputs whose result is a column: the parameters of a step, then `StartValues`."""
+    """Return a Function of the inputs whose result is a column.
+
+    It holds the parameters of a step, the phase of the whole run [rad], and `Layout.known`.
+    """
     structure, known = layout.structure, parameters(scene)
     values = [known[name] for name in layout.names]
     end = minimum(known["ramp_time"], duration) if structure.ramp else duration
@@ -218,16 +205,9 @@ def setup(layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[C
     # Where the soil never resists, the strut alone moves the share.
     size = where(steady > 0.0, steady, scene.tow_speed / scene.natural_frequency) + _TINY
     phase, part = _phase_and_error_part(layout)(stacked(*values, end, duration))
-    rate = structure.start_rate(known)
-    start = StartValues(
-        rate=rate,
-        phase=phase,
-        force=structure.start_force(known) + structure.pull(known, 0.0, rate),
-        deflection=structure.start_deflection(known),
-        tow_speed=scene.tow_speed,
-    )
     longest_first_step, allowed_error = duration / (1.0 + phase), error * size * part
-    column = stacked(*values, end, duration, longest_first_step, allowed_error, *vars(start).values())
+    every = (known[name] for name in layout.known)
+    column = stacked(*values, end, duration, longest_first_step, allowed_error, phase, *every)
     return function_of_column("setup", inputs, column)
 
 

@@ -49,10 +49,10 @@ from plough_opt.motion.batch.advance import (
     RESULTS,
     Layout,
     Matrix,
-    StartValues,
     advance,
     ellipse_after,
     function_of_column,
+    results_of,
     setup,
 )
 from plough_opt.motion.batch.series import Engine
@@ -332,7 +332,7 @@ class Batch:
         which = np.delete(np.arange(rows.shape[1]), list(reasons))
         prepared = prepared if len(which) == rows.shape[1] else prepared[:, which]
         # Designs in one register wait for the slowest of them; those of similar phase take similar numbers of steps.
-        results = self._integrate(prepared, StartValues(*prepared[layout.parameters :]).phase)
+        results = self._integrate(prepared, prepared[layout.parameters])
         best[:, which] = results
         for _ in range(_REPETITIONS):
             again = results[-2] > self._error
@@ -363,16 +363,16 @@ class Batch:
             prepared: results of `setup`.
             key: a number for each design; designs with similar keys are integrated side by side.
         """
-        count = self._layout.parameters
-        p, start = np.ascontiguousarray(prepared[:count]), StartValues(*prepared[count:])
-        states, largest = np.zeros((self._layout.states, p.shape[1])), np.full(p.shape[1], np.nan)
-        states[2] = start.rate
+        layout, count = self._layout, self._layout.parameters
+        p, known = np.ascontiguousarray(prepared[:count]), dict(zip(layout.known, prepared[count + 1 :], strict=True))
+        states, largest = np.zeros((layout.states, p.shape[1])), np.full(p.shape[1], np.nan)
+        states[2] = layout.structure.start_rate(known)
         if self._layout.orbit:
             states, largest = self._on_orbits(p, key)
         steps = self._run(p, states, key)
         results = np.empty((len(RESULTS) + 3, p.shape[1]))
         with np.errstate(all="ignore"):
-            *results[: len(RESULTS)], results[-2] = start.results(self._layout, p, states[3:])
+            *results[: len(RESULTS)], results[-2] = results_of(layout, known, states[3:])
         results[-3], results[-1] = largest, steps
         # Of a finished run only the error may have left the range of floating point.
         results[:-1, np.isnan(states[0])] = np.nan

@@ -67,8 +67,15 @@ class BatchCorrector(Corrector):
         return f, g[0]
 
     def _differentiate(self, y: Array, p: Array) -> Slopes:
-        stencil, steps = _stencil(y)
-        return _differences(*self._integrate(stencil, p), steps)
+        """Return slopes by one-sided differences of second order, from one and two steps along each variable."""
+        # All steps point to the middle of a range.
+        n, steps = len(y), np.where(y > 0.5, -_SLOPE_STEP, _SLOPE_STEP)
+        f, g = self._integrate(np.vstack([y, y + np.diag(steps), y + 2.0 * np.diag(steps)]), p)
+        gradient, jacobian = (
+            (4.0 * (values[1 : n + 1] - values[0]) - (values[n + 1 :] - values[0])).T / (2.0 * steps)
+            for values in (f, g)
+        )
+        return Slopes(f[:1], g[0], gradient, jacobian)
 
     def _integrate(self, designs: Array, p: Array) -> tuple[Array, Array]:
         """Return scaled objective and requirements, a row for each design, all with the same number of steps."""
@@ -95,30 +102,6 @@ class BatchCorrector(Corrector):
         if derivatives is None:
             raise ValueError("a neighbouring design has no value")
         return curvature_of(derivatives[2], lam_g)
-
-
-def _stencil(y: Array) -> tuple[Array, Array]:
-    """Return the designs whose differences give the slopes at a design, a row each, and the signed steps to them.
-
-    Rows are the design itself, then one step along each variable, then two; all steps point to the middle of a range.
-    """
-    steps = np.where(y > 0.5, -_SLOPE_STEP, _SLOPE_STEP)
-    return np.vstack([y, y + np.diag(steps), y + 2.0 * np.diag(steps)]), steps
-
-
-def _differences(f: Array, g: Array, steps: Array) -> Slopes:
-    """Return slopes by one-sided differences of second order.
-
-    Args:
-        f: objective at each design of a stencil.
-        g: requirements at each design of the stencil, a row each.
-        steps: of the stencil.
-    """
-    n = len(steps)
-    gradient, jacobian = (
-        ((4.0 * (values[1 : n + 1] - values[0]) - (values[n + 1 :] - values[0])).T / (2.0 * steps)) for values in (f, g)
-    )
-    return Slopes(f[:1], g[0], gradient, jacobian)
 
 
 _POSITION = "position on the front"

@@ -134,8 +134,7 @@ class _Screen:
 
     def _designs(self, numbers: np.ndarray, free: Vector) -> Vector:
         """Return the designs that join combinations, by number, with a row each of the free variables, or the same."""
-        found = np.empty((len(numbers), len(self._optimum)))
-        found[:, self._fixed] = self._combinations[numbers]
+        found = with_variables(self._optimum, self._fixed, self._combinations[numbers])
         found[:, self._free] = free
         return found
 

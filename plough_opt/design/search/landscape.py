@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -101,16 +101,19 @@ def concatenated(parts: Sequence[Evaluations]) -> Evaluations:
     return Evaluations(*map(np.concatenate, columns))
 
 
-def apart(points: Vector, order: Sequence[int] | np.ndarray, least: float, most: int) -> list[int]:
+def apart(
+    points: Vector, order: Iterable[int], least: float, most: int | None = None, kept: Iterable[int] = ()
+) -> list[int]:
     """Return the first points in an order that differ by a least distance in some variable, at most ``most`` of them.
 
     Args:
         points: a row for each point.
         order: numbers of points.
         least: the distance.
-        most: number of points.
+        most: number of points; None for all.
+        kept: numbers of points that are returned too, whatever their distance from each other.
     """
-    chosen: list[int] = []
+    chosen = [*map(int, kept)]
     for k in order:
         if np.all(np.max(np.abs(points[chosen] - points[k]), axis=1) >= least):
             chosen.append(int(k))

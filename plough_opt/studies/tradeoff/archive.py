@@ -20,7 +20,7 @@ from plough_opt.design.confirmation import boxes, minimum_from, ranking_criterio
 from plough_opt.design.model.ipopt import REMEDIES, Point
 from plough_opt.design.search.effort import Search, effort_of, searched
 from plough_opt.design.search.explore import Explorer, Progress
-from plough_opt.design.search.landscape import BASINS, SEED, VIOLATION, Evaluations, Landscape, evolved, sample
+from plough_opt.design.search.landscape import BASINS, SEED, VIOLATION, Evaluations, Landscape, apart, evolved, sample
 from plough_opt.design.search.local import descend, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
 from plough_opt.studies.tradeoff.front import (
@@ -644,11 +644,7 @@ class Tracer(ABC):
                 break
             self.archive.exclude(best[needles])
             left, best = np.setdiff1d(left, best[needles]), best[~needles]
-        chosen: list[int] = []
-        for k in best:
-            if all(np.max(np.abs(objectives[k] - objectives[i])) > self.spacing for i in chosen):
-                chosen.append(int(k))
-        return [designs[k] for k in chosen]
+        return [designs[k] for k in apart(objectives, best, self.spacing)]
 
     def _gains(self, front: Array, objectives: Array, leads: Array, left: NDArray[np.intp], sparse: bool) -> Array:
         """Return how much a front would gain by each design of the archive; only those left are judged.

@@ -505,10 +505,15 @@ def without_needless(front: Array, between: Sequence[bool], step: float) -> NDAr
     return np.array(chosen, dtype=np.intp)
 
 
+def locations(objectives: Array) -> Array:
+    """Return the locations of normalised objectives on the plane of utopia, a row each."""
+    return np.asarray(objectives - np.mean(objectives, axis=1, keepdims=True))
+
+
 def distances(objectives: Array) -> Array:
     """Return the distances between the locations of all rows, as the largest difference in any objective."""
-    locations = objectives - np.mean(objectives, axis=1, keepdims=True)
-    return np.asarray(np.max(np.abs(locations[:, None, :] - locations[None, :, :]), axis=2))
+    places = locations(objectives)
+    return np.asarray(np.max(np.abs(places[:, None, :] - places[None, :, :]), axis=2))
 
 
 def parts_of(objectives: Array, step: float) -> tuple[list[list[int]], list[tuple[int, int]]]:
@@ -535,22 +540,6 @@ def parts_of(objectives: Array, step: float) -> tuple[list[list[int]], list[tupl
             ends[a, b] = parts[a][i], parts[b][j]
     tree = minimum_spanning_tree(csr_array(between_parts)).tocoo()
     return parts, [ends[int(a), int(b)] for a, b in zip(tree.row, tree.col, strict=True)]
-
-
-def uncrowded_on_surface(objectives: Array, rank: NDArray[np.intp], room: float) -> NDArray[np.intp]:
-    """Return the rows without those that lie too close to another row of the same or a lower rank.
-
-    Args:
-        objectives: normalised objectives.
-        rank: of each row; rows of rank 0 all stay.
-        room: least distance of a row of rank 1 or more from the others that stay.
-    """
-    apart = distances(objectives)
-    chosen: list[int] = []
-    for k in np.argsort(rank, kind="stable"):
-        if rank[k] == 0 or not chosen or np.min(apart[k, chosen]) >= room:
-            chosen.append(int(k))
-    return np.array(sorted(chosen), dtype=np.intp)
 
 
 def covering(objectives: Array, chosen: NDArray[np.intp], room: float) -> NDArray[np.intp]:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from plough_opt.core.plain_data import Array
 from plough_opt.design.confirmation import minimum_from
 from plough_opt.design.model.ipopt import Point
+from plough_opt.design.search.landscape import apart
 from plough_opt.studies.tradeoff.archive import MATTERS, OTHERS_WEIGHT, SOUGHT, Archive, Tracer
 from plough_opt.studies.tradeoff.front import (
     Arrangement,
@@ -33,9 +34,9 @@ from plough_opt.studies.tradeoff.front import (
     extrapolated,
     gaps,
     lead_over_points,
+    locations,
     parts_of,
     uncrowded_on_curve,
-    uncrowded_on_surface,
     undominated,
     undominated_in_order,
     without_needless,
@@ -277,15 +278,15 @@ class Lattice:
 
     def locations(self, objectives: Array) -> Array:
         """Return the locations of normalised objectives on the plane, in steps, a row each."""
-        return np.asarray((objectives - np.mean(objectives, axis=1, keepdims=True) + 1.0 / 3.0) * self.steps)
+        return np.asarray((locations(objectives) + 1.0 / 3.0) * self.steps)
 
     def nearest(self, objectives: Array) -> NDArray[np.intp]:
         """Return the node nearest to each row of normalised objectives."""
-        locations = self.locations(objectives)
-        nodes = np.round(locations).astype(int)
+        places = self.locations(objectives)
+        nodes = np.round(places).astype(int)
         # Rounding may miss the common sum by one. The entry that was rounded most makes up for it.
         rows = np.arange(len(nodes))
-        nodes[rows, np.argmax(np.abs(locations - nodes), axis=1)] += self.steps - nodes.sum(axis=1)
+        nodes[rows, np.argmax(np.abs(places - nodes), axis=1)] += self.steps - nodes.sum(axis=1)
         return np.asarray(nodes, dtype=np.intp)
 
     def nearest_node(self, objectives: Array) -> Node:
@@ -557,11 +558,10 @@ class SurfaceTracer(Tracer):
 
         if not len(front):
             return np.full(len(objectives), np.inf)
-        apart, _ = KDTree(front).query(objectives, p=np.inf)
-        far = apart > _COVERED * self.step
-        locations, covered = (rows - rows.mean(axis=1, keepdims=True) for rows in (objectives[far], front))
-        far[far] = KDTree(covered).query(locations, p=np.inf)[0] > self.step / 2.0
-        return np.where(far, apart, 0.0)
+        nearest, _ = KDTree(front).query(objectives, p=np.inf)
+        far = nearest > _COVERED * self.step
+        far[far] = KDTree(locations(front)).query(locations(objectives[far]), p=np.inf)[0] > self.step / 2.0
+        return np.where(far, nearest, 0.0)
 
     def efficient(self) -> list[FrontCandidate]:
         """Return the candidates that no other dominates."""
@@ -596,12 +596,12 @@ class SurfaceTracer(Tracer):
 
     def _uncrowded(self, objectives: Array, hole_ends: Sequence[tuple[int, int]], room: float) -> NDArray[np.intp]:
         """Return the rows of efficient points that have room: first ends and anchors, then nodes, then the others."""
-        rank = (self._lattice.distance(objectives, self._lattice.nearest(objectives)) > _AT_NODE).astype(int)
+        places = locations(objectives)
+        stays = self._lattice.distance(objectives, self._lattice.nearest(objectives)) <= _AT_NODE
         # An anchor close to another anchor need not stay.
-        anchors = np.argmin(objectives @ _ANCHOR_WEIGHTS.T, axis=0)
-        anchors = anchors[uncrowded_on_surface(objectives[anchors], np.ones_like(anchors), room)]
-        rank[[*anchors, *(row for pair in hole_ends for row in pair)]] = 0
-        return uncrowded_on_surface(objectives, rank, room)
+        anchors = apart(places, np.argmin(objectives @ _ANCHOR_WEIGHTS.T, axis=0), room)
+        stays[[*anchors, *chain(*hole_ends)]] = True
+        return np.sort(apart(places, np.flatnonzero(~stays), room, kept=np.flatnonzero(stays)))
 
     def find_inner_neighbours(self) -> None:
         """Keep the points on edges as they are; their multipliers already give the rates."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from plough_opt.core.checks import LARGEST, LEAST, array_of, check_limits, plain_number, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression, is_casadi, maximum, minimum, sqrt, total, where
+from plough_opt.core.expressions import Column, Expression, floor, is_casadi, maximum, minimum, sqrt, total, where
 
 # Halvings reduce a bracket of three widths to a thousandth of a width, an error that each Newton step squares.
 _HALVINGS = 12
@@ -260,7 +260,7 @@ def _threshold(scaled: Column, part: float) -> Column:
     The first bracket and the result are rounded, because rounding has the derivative 0.
     """
     # Fewer samples than the part lie above the bracket, whose ends are a width and more from this one.
-    middle = _floor(_largest(scaled, math.ceil(part * _count(scaled))))
+    middle: Column = floor(_largest(scaled, math.ceil(part * _count(scaled))))
     low, high = middle - 1.0, middle + 2.0
     for _ in range(_HALVINGS):
         t = 0.5 * (low + high)
@@ -270,7 +270,7 @@ def _threshold(scaled: Column, part: float) -> Column:
     for _ in range(2):
         t = t + (expected(step(scaled - t)) - part) / (expected(density(scaled - t)) + _TINY)
         t = minimum(maximum(t, low), high)
-    return _floor(t * _PER_WIDTH) / _PER_WIDTH
+    return floor(t * _PER_WIDTH) / _PER_WIDTH
 
 
 def _largest(column: Column, number: int) -> Column:
@@ -329,7 +329,3 @@ def _column(values: Column) -> Column:
 
 def _count(column: Column) -> int:
     return int(column.numel()) if is_casadi(column) else int(column.size)
-
-
-def _floor(value: Column) -> Column:
-    return ca.floor(value) if is_casadi(value) else math.floor(value)

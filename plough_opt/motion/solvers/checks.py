@@ -337,15 +337,11 @@ def broken_wave(run: Run) -> tuple[str, ...]:
     count = math.floor(duration / period + _WHOLE_WAVES)
     if count < 1:
         return ()
-    # Integrals of the mount force, by the trapezoidal rule with the output interval as the unit of time.
-    force, intervals = run.mount_force, len(run.time) - 1
-    until = min(count * period / duration, 1.0) * intervals
-    last = min(int(until), intervals - 1)
-    part, begin, end = until - last, float(force[last]), float(force[last + 1])
-    before = float(np.sum(force[: last + 1])) - 0.5 * float(force[0] + begin)
-    whole = before + part * (begin + 0.5 * part * (end - begin))
-    every = float(np.sum(force)) - 0.5 * float(force[0] + force[-1])
-    percent = 100.0 * (every / intervals / (whole / until) - 1.0)
+    until = min(count * period, duration)
+    before = run.time < until
+    force = np.append(run.mount_force[before], np.interp(until, run.time, run.mount_force))
+    whole = np.trapezoid(force, np.append(run.time[before], until)) / until
+    percent = 100.0 * float(np.trapezoid(run.mount_force, run.time) / duration / whole - 1.0)
     return (broken_wave_in_words(percent, count, count * period),) if abs(percent) > BROKEN_WAVE else ()
 
 

@@ -81,7 +81,7 @@ def _local_optimum(program: Program, landscape: Landscape, point: Point, name: s
         name=name,
         objective=objective,
         variables=program.declared.named(values),
-        limits=(*_requirements(program, point, found[1:]), *_bounds(program, point, values)),
+        limits=(*requirements_at(program, point, found[1:]), *bounds_at(program, point, values)),
         gap=gap_of(program, p, point),
         error_estimate=abs(objective - float(check[0].item())) / max(abs(objective), SMALL * program.objective_scale),
         iterations=point.iterations,
@@ -89,7 +89,8 @@ def _local_optimum(program: Program, landscape: Landscape, point: Point, name: s
     )
 
 
-def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> list[Limit]:
+def requirements_at(program: Program, point: Point, found: Sequence[Vector]) -> list[Limit]:
+    """Return the requirements at a point, from their tightly integrated values; those of the program are left out."""
     limits, owner, multipliers = [], np.array(program.owner), np.abs(point.lam_g)
     for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
         if r.auxiliary:
@@ -105,7 +106,8 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
     return limits
 
 
-def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
+def bounds_at(program: Program, point: Point, values: Vector) -> list[Limit]:
+    """Return the bounds at a point, where the variables have certain values; those of the program are left out."""
     limits = []
     sizes = np.abs(point.lam_y).tolist()
     for v, x, y, size in zip(program.declared.variables, values.tolist(), point.y, sizes, strict=True):

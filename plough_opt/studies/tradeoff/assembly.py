@@ -17,7 +17,8 @@ from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress
 from plough_opt.design.confirmation import curvatures_at
 from plough_opt.design.model.ipopt import Point
-from plough_opt.design.model.optimality import ZERO, decides
+from plough_opt.design.model.optimality import ZERO
+from plough_opt.design.result.reporting import bounds_at, requirements_at
 from plough_opt.design.search.effort import Search
 from plough_opt.design.search.explore import notifier
 from plough_opt.motion.solvers.checks import remarks
@@ -160,16 +161,11 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
         beaten: whether it is not on the front; its curvature and branch are left out then.
     """
     program, point, corrector = front.program, candidate.point, front.correctors[candidate.exact]
-    scaled, values = front.tight(point.y)
-    margins = {
-        r.name: float(np.min(r.margins(x.ravel()))) for r, x in zip(front.declared.requirements, values, strict=False)
-    }
-    owner, variables = np.array(program.owner), program.declared.variables
-    relative = [margin / scale for margin, scale in zip(margins.values(), program.scales, strict=False)]
-    pulls = [float(np.max(np.abs(point.lam_g[owner == k]))) for k in range(len(margins))]
-    active = [name for name, margin, pull in zip(margins, relative, pulls, strict=True) if decides(margin, pull)]
-    active += [v.name for v, y, multiplier in zip(variables, point.y, point.lam_y, strict=True)
-               if decides(float(min(y, 1.0 - y)), float(abs(multiplier)))]  # fmt: skip
+    scaled, found = front.tight(point.y)
+    values = program.values(point.y)
+    requirements = requirements_at(program, point, found)[: len(front.declared.requirements)]
+    bounds = bounds_at(program, point, values)
+    overruns = (-limit.margin / scale for limit, scale in zip(requirements, program.scales, strict=False))
     weights = _weights(front, candidate)
     scenes = [] if beaten else front.scenes(point.y)
     waved = [scene.branch for scene in scenes if scene.effects.strength_wave]
@@ -180,13 +176,13 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
         curvature = float(curvatures[0]) if curvatures.size else None
     return FrontPoint(
         objectives=tuple((scaled * front.units).tolist()),
-        variables={v.name: float(x) for v, x in zip(variables, program.values(point.y), strict=True)},
-        margins=margins,
-        active=tuple(active),
+        variables=program.declared.named(values),
+        margins={limit.name: limit.margin for limit in requirements},
+        active=tuple(limit.name for limit in (*requirements, *bounds) if limit.active),
         rate=-weights[0] / weights[1] if weights is not None and front.count == 2 else None,
         branch=next(filter(None, waved), ""),
         residual=corrector.residual(point, candidate.p),
-        violation=max((0.0, *(-margin for margin in relative))),
+        violation=max((0.0, *overruns)),
         gap=front.gap(point.y, exact=candidate.exact),
         curvature=curvature,
         weights=weights,

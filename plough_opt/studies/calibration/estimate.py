@@ -71,15 +71,11 @@ class Loss:
         """Return the losses of residuals."""
         return np.asarray(0.5 * self.size**2 * self.rho((r / self.size) ** 2)[0])
 
-    def weight(self, r: Array) -> Array:
-        """Return the loss's derivative over the residual: the weight of its square in a Gauss-Newton step."""
-        return np.asarray(self.rho((r / self.size) ** 2)[1])
-
-    def curvature(self, r: Array) -> Array:
-        """Return the second derivative of the loss."""
+    def derivatives(self, r: Array) -> tuple[Array, Array]:
+        """Return the derivative over the residual, a weight in Gauss-Newton steps, and the second derivative."""
         z = (r / self.size) ** 2
         _, first, second = self.rho(z)
-        return np.asarray(first + 2.0 * z * second)
+        return first, first + 2.0 * z * second
 
 
 def _squares(z: Any) -> tuple[Any, Any, Any]:
@@ -222,7 +218,7 @@ class LeastSquares:
         ridge = RIDGE**0.5
         return np.r_[r, ridge * (y - centre)], np.vstack([slope, ridge * np.eye(self.unknowns)])
 
-    def _rho(self, z: Array) -> Array:
+    def _rho(self, z: Array) -> Any:
         """Return the loss and its derivatives in SciPy's form; rows of the ridge term are plain squares."""
         ridge = z[self.rows :]
         return np.hstack([self.loss.rho(z[: self.rows]), [ridge, np.ones_like(ridge), np.zeros_like(ridge)]])
@@ -230,12 +226,11 @@ class LeastSquares:
     def _decrement(self, y: Array, data: Data, centre: Array | None, free: NDArray[np.bool_]) -> float:
         """Return twice the decrease of the loss that a Gauss-Newton step between the bounds predicts."""
         r, slope = self._residuals(y, data, centre)
-        z = (r / self.loss.size) ** 2
-        _, first, second = self._rho(z)
-        gradient = slope.T @ (first * r)
+        weight, second = replace(self.loss, rho=self._rho).derivatives(r)
+        gradient = slope.T @ (weight * r)
         outward = ((y < AT_BOUND) & (gradient >= 0.0)) | ((y > 1.0 - AT_BOUND) & (gradient <= 0.0))
         free = free & ~outward
-        curvature = np.maximum(first + 2.0 * z * second, _LEAST_LOSS_CURVATURE * first)
+        curvature = np.maximum(second, _LEAST_LOSS_CURVATURE * weight)
         hessian = (slope[:, free] * curvature[:, None]).T @ slope[:, free]
         return float(gradient[free] @ np.linalg.lstsq(hessian, gradient[free], rcond=1e-12)[0])
 
@@ -301,7 +296,6 @@ class Identifiability:
         determined: whether an unknown's variance is smaller than that from its bounds alone (p).
         free: undetermined directions of the scaled unknowns, as columns (p, d).
         structural: for each of these, whether the predictions do not depend on it at all (d).
-        rank: number of directions that the predictions depend on.
     """
 
     covariance: Array
@@ -309,7 +303,6 @@ class Identifiability:
     determined: NDArray[np.bool_]
     free: Array
     structural: NDArray[np.bool_]
-    rank: int
 
 
 def identifiability_of(slope: Array, noise: float) -> Identifiability:
@@ -341,7 +334,6 @@ def identifiability_of(slope: Array, noise: float) -> Identifiability:
         determined=determined,
         free=directions[:, undetermined_directions],
         structural=structural[undetermined_directions],
-        rank=int(np.sum(~structural)),
     )
 
 
@@ -564,12 +556,14 @@ def _with_accuracy(setup: Setup, data: Data, best: Minimum, optima: tuple[float,
     problem = setup.problem
     predicted, slope = problem.at(best.y)
     residuals, weighted = data.weights * (predicted - data.observed), slope * data.weights[:, None]
-    freedom = data.count - identifiability_of(weighted, 1.0).rank
+    # Directions without effect use up no rows.
+    freedom = data.count - problem.unknowns + int(np.sum(identifiability_of(weighted, 1.0).structural))
     counted = residuals[data.weights > 0.0]
     normal = data.stated and not problem.loss.robust
-    pull = problem.loss.weight(counted) * counted
+    weight, second = problem.loss.derivatives(counted)
+    pull = weight * counted
     square = 1.0 if normal else max(float(np.sum(pull**2)) / max(freedom, 1), _LEAST_SCALE**2)
-    curvature = max(float(np.mean(problem.loss.curvature(counted))), _LEAST_MEAN_CURVATURE)
+    curvature = max(float(np.mean(second)), _LEAST_MEAN_CURVATURE)
     variance = square / curvature**2
     spread = identifiability_of(weighted, variance**0.5)
     return Estimate(setup, data, best, optima, residuals, spread, freedom, variance, square / curvature, normal, drift)

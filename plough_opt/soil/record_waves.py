@@ -186,10 +186,6 @@ class Continuum:
         np.add.at(total, self.windows.rows, parts[..., 0])
         return total
 
-    def log_likelihood(self, residual: Vector) -> float:
-        """Return the logarithm of a residual's likelihood at the most likely variance."""
-        return self.windows.log_likelihood(self.factors, residual)
-
 
 @dataclass(frozen=True)
 class FoundWave:
@@ -422,8 +418,8 @@ class _Model:
 
     @cached_property
     def log_likelihood(self) -> float:
-        """Logarithm of the likelihood."""
-        return self.continuum.log_likelihood(self.residual)
+        """Logarithm of the likelihood at the most likely variance."""
+        return self.continuum.windows.log_likelihood(self.continuum.factors, self.residual)
 
     @property
     def carried(self) -> float:

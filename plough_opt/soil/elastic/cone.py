@@ -249,10 +249,6 @@ class ConePotentials(NamedTuple):
     n_r_change: Expression
     outward: Expression
 
-    def where(self, condition: Expression, other: ConePotentials) -> ConePotentials:
-        """Return these potentials where a condition holds, and the other ones elsewhere."""
-        return ConePotentials(*(where(condition, a, b) for a, b in zip(self, other, strict=True)))
-
 
 class _Point:
     """Distances of a point from a place on the axis, and their differences over m, without cancellation.
@@ -343,7 +339,9 @@ def _piece(
     soil = Ratios(*state)
     first, last = _Point(x0, r, soil), _Point(x1, r, soil)
     far = first.slow + last.slow > FAR * length
-    return _far(first, last, length, (at_first, slope)).where(far, _near(first, last, (at_first, slope)))
+    source = at_first, slope
+    pairs = zip(_far(first, last, length, source), _near(first, last, source), strict=True)
+    return tuple(where(far, from_far, near_by) for from_far, near_by in pairs)
 
 
 def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) -> ConePotentials:

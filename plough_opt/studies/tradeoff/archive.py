@@ -552,8 +552,7 @@ class Tracer(ABC):
         """
         front, fallback = self.front, None
         objectives = front.objectives(y)
-        limits = [{j: float(objectives[j]) for j in range(front.count) if j != k} for k in range(front.count)]
-        limited = (front.limited(k, limit, OTHERS_WEIGHT) for k, limit in enumerate(limits))
+        limited = (front.limited(k, objectives, OTHERS_WEIGHT) for k in range(front.count))
         for p in (self.parameters_at(objectives), *limited):
             candidate = self.no_worse_than(y, p)
             if candidate is not None and self.balances(candidate):

@@ -15,7 +15,7 @@ side by side and takes slopes from their differences, some twenty times as fast.
 
 import copy
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -48,19 +48,14 @@ class BatchCorrector(Corrector):
     """Corrector with slopes by differences of designs that are integrated side by side.
 
     Attributes:
-        largest_residual: as of `Corrector`, but with room for the errors of differences. It grows with the objectives'
-            sizes in units of their ranges, because the rounding of objectives does so too.
+        largest_residual: as of `Corrector`, but with room for the errors of differences. `FrontProgram.normalise` sets
+            it: it grows with the objectives' sizes in units of their ranges, because their rounding does so too.
     """
 
     def __init__(self, program: Program) -> None:
         """Use a program that is built."""
         super().__init__(program)
-        self.largest_residual = _BATCH_RESIDUAL
         self._scale = np.array(program.scales)[np.array(program.owner, dtype=int)]
-
-    def set_largest_objective(self, size: float) -> None:
-        """Set the largest objective, in units of its range over the front."""
-        self.largest_residual = _BATCH_RESIDUAL * max(1.0, size)
 
     def _evaluate(self, y: Array, p: Array) -> tuple[Array, Array]:
         f, g = self._integrate(y[None], p)
@@ -221,7 +216,7 @@ class FrontProgram:
         self.low, self.span = low, span
         quick = self.correctors.get(False)
         if isinstance(quick, BatchCorrector):
-            quick.set_largest_objective(float(np.max((np.abs(low) + span) / span)))
+            quick.largest_residual = _BATCH_RESIDUAL * float(np.max((np.abs(low) + span) / span))
 
     def normalised(self, scaled: Array) -> Array:
         """Return scaled objectives in units of their ranges over the front."""
@@ -251,26 +246,23 @@ class FrontProgram:
         count = self.count
         return self._parameters((0.0, *weights), np.zeros((count - 1, count)), np.ones(count - 1))
 
-    def limited(
-        self, objective: int, limits: Mapping[int, float], others: float = 0.0, *, relative: bool = False
-    ) -> Array:
+    def limited(self, objective: int, limits: Array, others: float = 0.0, *, relative: bool = False) -> Array:
         """Return the parameters that minimise one normalised objective with limits on the others.
 
         Args:
             objective: number of the objective to minimise.
-            limits: largest value of each other objective, normalised.
+            limits: largest value of each objective, normalised; that of the minimised one has no effect.
             others: weight of the other objectives, which decides what the limits leave open.
             relative: whether the limits are on the excess of each other objective over the minimised one.
         """
-        weights, normals = np.full(self.count, others), np.zeros((self.count - 1, self.count))
-        weights[objective] = 1.0
-        normals[np.arange(len(limits)), list(limits)] = 1.0
+        is_other = np.arange(self.count) != objective
+        weights, normals = np.where(is_other, others, 1.0), np.eye(self.count)[is_other]
         normals[:, objective] = -1.0 if relative else 0.0
         zero = self.low / self.span
         return self._parameters(
             (-float(weights @ zero), *(weights / self.span)),
             normals / self.span,
-            np.array(list(limits.values())) + normals @ zero,
+            limits[is_other] + normals @ zero,
         )
 
     def subproblem(self, p: Array) -> tuple[Array, Array, Array]:

@@ -180,7 +180,7 @@ class CurveTracer(Tracer):
 
     def _parameters_for(self, objective: int, position: float) -> Array:
         """Return the parameters that minimise an objective with a limit on the other one's excess over it."""
-        return self.front.limited(objective, {1 - objective: position}, relative=True)
+        return self.front.limited(objective, np.full(2, position), relative=True)
 
     @staticmethod
     def _position_of(candidate: FrontCandidate, objective: int) -> float:
@@ -232,7 +232,7 @@ class CurveTracer(Tracer):
 
     def _end(self, candidate: FrontCandidate, objective: int, limit: float) -> FrontCandidate | None:
         """Return the design of a branch with the least of an objective while the other one is limited."""
-        p = self.front.limited(objective, {1 - objective: limit})
+        p = self.front.limited(objective, np.full(2, limit))
         return self.solve(candidate, candidate.point.y, p, report=False)
 
     # --- finishing ---------------------------------------------------------------------------------------
@@ -413,8 +413,7 @@ class SurfaceTracer(Tracer):
         The smallest objective is minimised, with limits on the excess of the other two over it.
         """
         smallest = int(np.argmin(objectives))
-        limits = {k: float(objectives[k] - objectives[smallest]) for k in range(3) if k != smallest}
-        return self.front.limited(smallest, limits, relative=True)
+        return self.front.limited(smallest, objectives - objectives[smallest], relative=True)
 
     def _parameters_at_node(self, node: Node) -> Array:
         return self.parameters_at(np.array(node) * self.step)
@@ -440,9 +439,7 @@ class SurfaceTracer(Tracer):
         if not self.front.position_decides(point):
             weights, _, _ = self.front.subproblem(p)
             minimised = int(np.argmax(weights[1:]))
-            objectives = self.front.objectives(point.y)
-            limits = {k: float(objectives[k]) for k in range(3) if k != minimised}
-            at_edge = self.front.limited(minimised, limits, _EDGE_WEIGHT)
+            at_edge = self.front.limited(minimised, self.front.objectives(point.y), _EDGE_WEIGHT)
             on_edge = self.front.solve(point, point.y, at_edge)
             if on_edge.solved:
                 p, point = at_edge, on_edge

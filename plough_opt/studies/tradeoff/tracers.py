@@ -17,7 +17,6 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise, permutations
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -267,11 +266,6 @@ class Lattice:
 
     steps: int
 
-    @classmethod
-    def with_nodes(cls, count: int) -> Self:
-        """Return the coarsest lattice with at least this many nodes in the triangle."""
-        return cls(next(n for n in range(2, count + 2) if (n + 1) * (n + 2) // 2 >= count))
-
     def triangle(self) -> set[Node]:
         """Return the nodes in the triangle."""
         return {(i, j, self.steps - i - j) for i in range(self.steps + 1) for j in range(self.steps + 1 - i)}
@@ -344,7 +338,8 @@ class SurfaceTracer(Tracer):
         """Lay a lattice over the triangle between the anchors, with at least `count` nodes in the triangle."""
         super().__init__(archive)
         self._count = count
-        self._lattice = Lattice.with_nodes(count)
+        # The coarsest one with that many.
+        self._lattice = Lattice(next(n for n in range(2, count + 2) if (n + 1) * (n + 2) // 2 >= count))
         self.step = 1.0 / self._lattice.steps
         self.spacing = _COVERED * self.step
         # Nodes to solve in any case. Those beyond are solved only where a flood reaches them.

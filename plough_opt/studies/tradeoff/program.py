@@ -52,11 +52,6 @@ class BatchCorrector(Corrector):
             it: it grows with the objectives' sizes in units of their ranges, because their rounding does so too.
     """
 
-    def __init__(self, program: Program) -> None:
-        """Use a program that is built."""
-        super().__init__(program)
-        self._scale = np.array(program.scales)[np.array(program.owner, dtype=int)]
-
     def _evaluate(self, y: Array, p: Array) -> tuple[Array, Array]:
         f, g = self._integrate(y[None], p)
         return f, g[0]
@@ -75,8 +70,7 @@ class BatchCorrector(Corrector):
     def _integrate(self, designs: Array, p: Array) -> tuple[Array, Array]:
         """Return scaled objective and requirements, a row for each design, all with the same number of steps."""
         with np.errstate(all="ignore"):
-            f, g = self._program.population(designs, p, finer=_FINER, together=len(designs))
-        return f, g / self._scale
+            return Landscape(self._program, p).rows(designs, finer=_FINER, together=len(designs))
 
     def solve_from_afar(self, neighbour: Point, start: Array, p: Array) -> Point:
         """Return the optimum near a start from which `correct` fails: a descent of the search, then corrected.

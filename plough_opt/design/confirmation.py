@@ -393,8 +393,7 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
 
 def _too_high(landscape: Landscape, median: Vector, own: Vector) -> NDArray[np.bool_]:
     """Return for each design whether the median over its tolerances is a needle's; both in units of the merit."""
-    with np.errstate(all="ignore"):
-        everywhere = landscape.program.population(unit_box(landscape.dimensions), landscape.p)[0]
+    everywhere = landscape.program.population(unit_box(landscape.dimensions), landscape.p)[0]
     sizes = np.abs(everywhere[np.isfinite(everywhere)]) / landscape.objective_scale
     typical = float(np.median(sizes)) if len(sizes) else 0.0
     return np.asarray(median - own > BASINS.needle * np.maximum(np.abs(own), SMALL * typical))

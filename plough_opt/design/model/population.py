@@ -190,6 +190,7 @@ class Population:
         solver = _rough_integration(run) if self._rough else run.integration
         return _Group(tuple(members), lambda theta, **_: _one_by_one(solver, theta), solver.results)
 
+    @np.errstate(all="ignore")
     def __call__(self, points: Vector, p: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return the objective and the requirements, a row for each design; NaN where it cannot be evaluated.
 

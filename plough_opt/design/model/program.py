@@ -377,8 +377,7 @@ class Program:
         """
         for count in _SCALING.samples:
             points = np.random.default_rng(_SCALING.seed).random((count, len(self.declared.variables)))
-            with np.errstate(all="ignore"):
-                f, g = self.population(points, p)
+            f, g = self.population(points, p)
             sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)
             if np.any(sound):
                 break

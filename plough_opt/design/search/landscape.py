@@ -149,6 +149,7 @@ class Landscape:
         """Variables that are solved for, given the others, instead of being searched."""
         return [one for one in self.program.linear_variables(self.p) if one.number not in self.held]
 
+    @np.errstate(all="ignore")
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return the scaled objective and requirements, a row for each design.
 

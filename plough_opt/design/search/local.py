@@ -186,10 +186,9 @@ class _Descent:
 
     def _neighbours(self, designs: Vector) -> tuple[Vector, Vector]:
         """Return what to minimise, and the requirements, of designs that are integrated with equal steps."""
-        with np.errstate(all="ignore"):
-            f, g = self._landscape.rows(designs, finer=FINER, together=len(designs))
-            # A design whose runs have no value may have requirements that need none.
-            return np.where(np.isfinite(f), self._objective(designs, f), np.nan), g
+        f, g = self._landscape.rows(designs, finer=FINER, together=len(designs))
+        # A design whose runs have no value may have requirements that need none.
+        return np.where(np.isfinite(f), self._objective(designs, f), np.nan), g
 
     def _merits(self, designs: Vector, weight: float) -> Vector:
         """Return what to minimise plus weighted violations, of designs with equal steps; the best of them is kept.

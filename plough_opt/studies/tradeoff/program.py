@@ -69,8 +69,7 @@ class BatchCorrector(Corrector):
 
     def _integrate(self, designs: Array, p: Array) -> tuple[Array, Array]:
         """Return scaled objective and requirements, a row for each design, all with the same number of steps."""
-        with np.errstate(all="ignore"):
-            return Landscape(self._program, p).rows(designs, finer=_FINER, together=len(designs))
+        return Landscape(self._program, p).rows(designs, finer=_FINER, together=len(designs))
 
     def solve_from_afar(self, neighbour: Point, start: Array, p: Array) -> Point:
         """Return the optimum near a start from which `correct` fails: a descent of the search, then corrected.
@@ -301,8 +300,7 @@ class FrontProgram:
             finer: as in `Population`.
             together: as in `Population`.
         """
-        with np.errstate(all="ignore"):
-            f, g = self.program.population(points, self._objectives_only, finer=finer, together=together)
+        f, g = self.program.population(points, self._objectives_only, finer=finer, together=together)
         return np.column_stack([f, g[:, self.position_rows]]), g
 
     def tight(self, y: Array) -> tuple[Array, list[Array]]:

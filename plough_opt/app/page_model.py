@@ -24,11 +24,12 @@ from plough_opt.exchange.export.javascript import Source
 from plough_opt.motion import Run
 from plough_opt.motion.effects import Own
 from plough_opt.motion.effects.own import slopes
+from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.run import WITHOUT_RANDOM, Averages, Machine, assemble
+from plough_opt.motion.run import WITHOUT_RANDOM, Averages, Machine
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
+from plough_opt.motion.solvers.integrators import GAUSS_POINTS, MORE_POINTS, assemble, quasi_static
 from plough_opt.motion.solvers.orbit import near_orbit
 from plough_opt.motion.solvers.plan import forced_rate, rates
 from plough_opt.motion.solvers.steps import Timeline, step
@@ -296,13 +297,13 @@ def _variant(problem: Problem, given: Mapping[str, Any], x: Any, changes: Mappin
         p = parameters(scene)
         duration = scene.wave_period if structure.orbit != "transient" else problem.values(given)["scene.duration"]
         rate = rates(p | _slopes(problem)).summed if moves else forced_rate(p)
-        run = _at(scene, time, state)
+        run = _at(scene, p, time, state)
         results = [
             stacked(*(_last(getattr(run, name)) for name in (*ROWS, "mode"))),
             stacked(*_measured(problem, replace(run, averages=Averages(*ca.vertsplit(five))))),
         ]
         if moves:
-            run = assemble(scene, time, np.ones(1), state.T, means, variances, Accuracy())
+            run = assemble(scene, p, time, np.ones(1), state.T, means, variances, Accuracy())
             results.append(stacked(*(getattr(run.averages, name) for name in AVERAGES)))
         # What does not change over time, such as the law of resistance, is computed once for a design.
         found = [ca.extract_parametric(ca.densify(one), x) for one in results]
@@ -347,12 +348,12 @@ def _last(values: Any) -> Any:
     return values[-1] if hasattr(values, "shape") and values.shape != () else values
 
 
-def _at(scene: Scene, time: Any, state: Any) -> Run:
+def _at(scene: Scene, p: Parameters, time: Any, state: Any) -> Run:
     """Return the run whose last output is at a time, with a state that has been integrated up to then."""
     if not scene.effects.motion:
-        return quasi_static(scene, time, Timeline(1, 1), Accuracy(), 1)
+        return quasi_static(scene, p, time, Timeline(1, 1), Accuracy(), 1)
     none = ca.DM.zeros(equation_of(Structure.of(scene)).count)
-    return assemble(scene, time, np.ones(1), state.T, none, none, Accuracy())
+    return assemble(scene, p, time, np.ones(1), state.T, none, none, Accuracy())
 
 
 def _wanted(problem: Problem, scene: Scene) -> dict[str, str]:

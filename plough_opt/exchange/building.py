@@ -54,14 +54,20 @@ from plough_opt.exchange.component import (
 )
 from plough_opt.laws.law import too_blunt
 from plough_opt.motion import OUTPUTS, Run
+from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene, duration_of, quantities_of, with_quantities
-from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.solvers.checks import refuse_runaway
 from plough_opt.motion.solvers.derivatives import derivative_error
-from plough_opt.motion.solvers.integrators import Integration, integration
+from plough_opt.motion.solvers.integrators import (
+    GAUSS_POINTS,
+    MORE_POINTS,
+    Integration,
+    assemble,
+    integration,
+    quasi_static,
+)
 from plough_opt.motion.solvers.plan import fewest_steps, forced_rate, numbers_of, phase, steps_for, timeline_of
 from plough_opt.motion.solvers.steps import Timeline
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
@@ -258,12 +264,13 @@ class Scenes:
         return scene, duration_of(scene, duration)
 
     @cached_property
-    def _symbolic(self) -> tuple[Any, list[Any], Scene, Expression]:
-        """Return the CasADi type, a symbol of it for each input, and the scene and duration of these symbols."""
+    def _symbolic(self) -> tuple[Any, list[Any], Scene, Expression, Parameters]:
+        """Return the CasADi type, a symbol of it for each input; scene, duration and parameters of these symbols."""
         # In MX a law with large sums or loops stays one node; SX would unroll it.
         kind: Any = ca.SX if self.scene.law.scalar else ca.MX
         x = [kind.sym(port.argument) for port in self.inputs]
-        return kind, x, *self.at(x)
+        scene, duration = self.at(x)
+        return kind, x, scene, duration, parameters(scene)
 
     def function(self, results: Results, resolution: Resolution) -> ca.Function:
         """Return results of a run, each a dense column, as a Function of the inputs.
@@ -274,7 +281,7 @@ class Scenes:
             results: the results by name.
             resolution: steps and outputs.
         """
-        kind, x, scene, duration = self._symbolic
+        kind, x, scene, duration, p = self._symbolic
         arguments, names = [port.argument for port in self.inputs], list(results)
         options = {"default_in": [port.value for port in self.inputs]}
 
@@ -282,7 +289,7 @@ class Scenes:
             return [ca.densify(ca.vec(kind(result(run)))) for result in results.values()]
 
         if not scene.effects.motion:
-            run = quasi_static(scene, duration, self._timeline(resolution), Accuracy(), resolution.points)
+            run = quasi_static(scene, p, duration, self._timeline(resolution), Accuracy(), resolution.points)
             return ca.Function(self.name, x, columns(run), arguments, names, options)
         # Three Functions are chained: inputs -> parameters -> motion (the loop over the steps) -> results.
         solver, parameters_of = self.motion(resolution)
@@ -290,7 +297,7 @@ class Scenes:
         motion = [kind.sym(f"o{k}", *integrate.size_out(k)) for k in range(integrate.n_out())]
         states, means, variances = motion
         fractions = solver.timeline.output_fractions
-        run = assemble(scene, duration, fractions, states.T, means, variances, solver.accuracy)
+        run = assemble(scene, p, duration, fractions, states.T, means, variances, solver.accuracy)
         results_of = ca.Function("results", [*x, *motion], columns(run))
         symbols = [ca.MX.sym(argument) for argument in arguments]
         values = results_of.call([*symbols, *integrate.call(parameters_of.call(symbols))])
@@ -298,7 +305,7 @@ class Scenes:
 
     def domain(self) -> tuple[tuple[DomainLimit, ...], ca.Function]:
         """Return the limits of the law of resistance, and a Function from the inputs to the limited values."""
-        kind, x, _, _ = self._symbolic
+        kind, x, *_ = self._symbolic
         with limits_of_laws() as found:
             self.at(x)[0].check_reaction()
         column = ca.vertcat(kind(), *(value for _, value in found))
@@ -312,15 +319,14 @@ class Scenes:
 
     def motion(self, resolution: Resolution) -> tuple[Integration, ca.Function]:
         """Return the integration of a run, and a Function from the inputs to its parameters, the duration last."""
-        _, x, scene, duration = self._symbolic
+        _, x, scene, duration, p = self._symbolic
         timeline = self._timeline(resolution)
         solver = integration(Structure.of(scene), Accuracy("dop853", steps=timeline.steps), timeline)
-        p = parameters(scene)
         return solver, ca.Function("parameters", x, [stacked(*(p[key] for key in solver.names), duration)])
 
     def _timeline(self, resolution: Resolution) -> Timeline:
         """Return the times of a run of symbols."""
-        _, _, scene, duration = self._symbolic
+        _, _, scene, duration, _ = self._symbolic
         # Outputs at start and end alone need no interpolation between steps.
         method: str | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
         return timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)

@@ -9,17 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_domain, check_kind, mapping_of, shown
 from plough_opt.core.errors import InputError, merge
-from plough_opt.core.expressions import Column, Expression, column, is_casadi
+from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.core.files import drawn, from_above
 from plough_opt.core.plain_data import Complex, MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
-from plough_opt.motion.effects.terms import Parameters
-from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene, quantities_of
 
@@ -458,36 +455,6 @@ class Checks:
     notes: tuple[str, ...]
     floquet: tuple[Complex, ...] = ()
     settles: Settled | None = None
-
-
-def assemble(
-    scene: Scene,
-    duration: Expression,
-    fractions: NDArray[np.float64],
-    states: Column,
-    means: Column,
-    variances: Column,
-    accuracy: Accuracy,
-    p: Parameters | None = None,
-) -> Run:
-    """Return the run that belongs to integrated changes since the start.
-
-    Args:
-        scene: the scene, numeric or symbolic.
-        duration: simulated time [s].
-        fractions: output times as fractions of the duration.
-        states: states (w, w', ...) in columns, a row for each output.
-        means: means of the signals of `plough_opt.motion.equation`.
-        variances: mean squares about the mean of those signals that have an RMS.
-        accuracy: method and setting used.
-        p: parameters of the scene, if they have been computed before.
-    """
-    structure, p = Structure.of(scene), p or parameters(scene)
-    time = column(fractions, is_casadi(states)) * duration
-    state = [states[:, k] for k in range(states.shape[1])]
-    force, soil, deflection, speed, travel, opening, mode = structure.outputs(p, time, state)
-    averages = Averages(*structure.averages(p, means, variances))
-    return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
 
 
 def without_repetition(sentences: Sequence[str]) -> list[str]:

@@ -6,46 +6,45 @@ import time
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_kind, check_single, check_switch, whole_number
 from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import (
-    Column,
     Expression,
     as_number,
-    column,
-    dot,
     holds_casadi,
     is_casadi,
     is_symbolic,
     kept,
     map_expressions,
-    rms,
 )
-from plough_opt.motion.effects import profile_of, ramp_time
+from plough_opt.motion.effects import profile_of
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
-from plough_opt.motion.run import Averages, Checks, Run, assemble
+from plough_opt.motion.run import Checks, Run
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers import checks, plan
 from plough_opt.motion.solvers.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
 from plough_opt.motion.solvers.compiled_steps import source_of
 from plough_opt.motion.solvers.integrators import (
+    GAUSS_POINTS,
+    MORE_POINTS,
+    SYMBOLIC_GAUSS_POINTS,
     Case,
     Integrated,
+    assemble,
     compared,
     embed,
     integrate,
     integration,
-    labelled,
+    quasi_static,
     thinned,
 )
 from plough_opt.motion.solvers.orbit import which_motion
-from plough_opt.motion.solvers.steps import Array, Timeline, ends
+from plough_opt.motion.solvers.steps import Array
 from plough_opt.soil.strength import check_strength
 
 _LOG = logging.getLogger(__name__)
@@ -213,10 +212,10 @@ def _symbolic(
     check_strength(scene.effects.waves)
     accuracy, timeline = plan.of_symbols(scene, p, duration, accuracy, outputs)
     if not scene.effects.motion:
-        return quasi_static(scene, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
+        return quasi_static(scene, p, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
     solver = integration(Structure.of(scene), accuracy, timeline)
     states, means, variances = embed(solver, solver.equation.column(p, duration), scene)
-    return assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy, p)
+    return assemble(scene, p, duration, timeline.output_fractions, states.T, means, variances, accuracy)
 
 
 def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
@@ -267,8 +266,8 @@ def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str
     checks.refuse_endless(scene, duration)
     timeline = plan.timeline_of(scene, duration, case.outputs, plan.steps_for(plan.rates_of(scene).forced * duration))
     with np.errstate(all="ignore"):  # values that are not finite raise an error below
-        run = quasi_static(scene, duration, timeline, accuracy)
-        check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
+        run = quasi_static(scene, case.p, duration, timeline, accuracy)
+        check = quasi_static(scene, case.p, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
     if not all(np.isfinite(as_number(part)).all() for part in (run.mount_force, run.mean_draft, run.force_rms)):
         why = checks.unsound_own(scene, run, 0.0) or "check its quantities"
         raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: {why}")
@@ -446,66 +445,3 @@ def _change_by_perturbation(case: Case, found: Integrated) -> float:
     except IntegrationError:
         return math.inf
     return _difference(case, found, other)
-
-
-GAUSS_POINTS = 10
-"""Gauss-Legendre nodes in each panel, for the averages of a numeric quasi-static run and of a component."""
-
-MORE_POINTS = 6
-"""Additional nodes in each panel of the checking run."""
-
-SYMBOLIC_GAUSS_POINTS = 4
-"""Gauss-Legendre nodes in each panel of a symbolic run, whose graph grows with them."""
-
-# Exact for the square of a ramp's force, a polynomial of degree 20, even if the ramp lies within one panel.
-_RAMP_GAUSS_POINTS = 11
-
-
-def quasi_static(
-    scene: Scene, duration: Expression, timeline: Timeline, accuracy: Accuracy, points: int = GAUSS_POINTS
-) -> Run:
-    """Return the run of a share that follows the strut: P = F0 (1 + eps sin(2 pi s/ell)) + Fd s'^2, z = P/k0.
-
-    Averages are composite Gauss-Legendre quadratures with a panel for each step of the timeline.
-    """
-    structure, p = Structure.of(scene), parameters(scene)
-    nodes, weights = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
-    steady = structure.steady_resistance(p, scene.tow_speed)
-    p["static"] = labelled(p["static"], scene)
-
-    def course(fractions: Column) -> tuple[Column, Column, Column, Column]:
-        """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
-        if isinstance(fractions, np.ndarray):
-            fractions = column(fractions, holds_casadi((scene, duration)))
-        time = fractions * duration
-        path, speed = structure.towed(p, time)
-        force, everywhere = structure.resistance(p, path, speed), 0.0 * time
-        return time, path + everywhere, speed + everywhere, force + everywhere
-
-    time, path, speed, force = course(timeline.output_fractions)
-    _, _, node_speed, node_force = course(nodes)
-    # Averages of the change since the first node: a constant force then has no variance by rounding of the weights.
-    change = node_force - node_force[0]
-    mean_change = dot(weights, change)
-    mean_draft = node_force[0] + mean_change
-    variance = dot(weights, (change - mean_change) ** 2)
-    force_rms, stiffness, still = rms(variance, steady), scene.stiffness, 0.0 * force + 0.0
-    tow_power = dot(weights, node_force * node_speed)
-    averages = Averages(mean_draft, force_rms, mean_draft / stiffness, force_rms / stiffness, tow_power)
-    deflection = force / stiffness
-    return Run(scene, duration, time, path, speed, deflection, force, force, still, still, averages, accuracy)
-
-
-def _quadrature(timeline: Timeline, points: int, duration: Expression, ramp: Expression) -> tuple[Column, Column]:
-    """Return quadrature nodes and weights of a time average, as fractions of the duration."""
-    points = max(points, _RAMP_GAUSS_POINTS) if timeline.moving else points
-    nodes, weights = np.polynomial.legendre.leggauss(points)
-    if timeline.moving:
-        a, b = ends(timeline, duration, ramp)
-        panel_ends = a + b * (ramp / duration)
-        starts, sizes = panel_ends[:-1], panel_ends[1:] - panel_ends[:-1]
-        rows = [starts + sizes * ((node + 1.0) / 2.0) for node in nodes]
-        return ca.vertcat(*rows), ca.vertcat(*(sizes * (weight / 2.0) for weight in weights))
-    sizes = np.diff(timeline.nodes)[:, None]
-    inner = timeline.nodes[:-1, None] + sizes * (nodes + 1.0) / 2.0
-    return inner.ravel(), (sizes * weights / 2.0).ravel()

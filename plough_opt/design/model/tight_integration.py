@@ -17,12 +17,13 @@ from plough_opt.core.expressions import is_quantity, map_expressions, with_numbe
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.nlp import Vector, has_own_law, is_own, split
 from plough_opt.motion.effects import MOST_HARMONICS
+from plough_opt.motion.equation import parameters as parameters_of
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.run import Run, assemble
+from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.checks import refuse_drifting_own, refuse_stiff_orbit
 from plough_opt.motion.solvers.compiled_steps import compiled_steps
-from plough_opt.motion.solvers.integrators import Integration, integration
+from plough_opt.motion.solvers.integrators import Integration, assemble, integration
 from plough_opt.motion.solvers.plan import checked, kinks_of, most_steps, phase, rates, rounded_up, steps_for, suited
 from plough_opt.motion.solvers.steps import Timeline
 
@@ -175,8 +176,10 @@ class TightEvaluation:
         outputs, equation = own.timeline.outputs + 1, own.equation
         states, means, variances = np.split(stacked, [-equation.averages, -equation.squared])
         states = states.reshape(outputs, -1)
-        fractions = own.timeline.output_fractions
-        return assemble(scene, float(parameters[-1]), fractions, states, means, variances, Accuracy(error=TIGHT))
+        fractions, duration = own.timeline.output_fractions, float(parameters[-1])
+        return assemble(
+            scene, parameters_of(scene), duration, fractions, states, means, variances, Accuracy(error=TIGHT)
+        )
 
     def values(self, numbers: Sequence[float], *, check: bool = False) -> list[Vector]:
         """Return the expressions' values.

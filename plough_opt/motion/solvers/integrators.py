@@ -1,5 +1,7 @@
 """Integration of the equation of motion by each method: as a CasADi Function, in a user's graph, and of numbers.
 
+The quasi-static limit, which needs no integration, is computed here too.
+
 A symbolic run is one call in the user's graph that carries its scene, so that a design can find and check it. A numeric
 run is one call of the Function or, if the system has a compiler, the same operations in machine code.
 """
@@ -13,15 +15,28 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.core.checks import Meanings, attach
 from plough_opt.core.errors import InputError, IntegrationError
-from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
+from plough_opt.core.expressions import (
+    Column,
+    Expression,
+    classes_in,
+    column,
+    dot,
+    is_casadi,
+    is_symbolic,
+    rms,
+    stacked,
+    template_of,
+)
 from plough_opt.core.process import without_notices
-from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.effects import StickSlip, ramp_time
+from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.methods import METHODS, Accuracy
-from plough_opt.motion.run import ARRAYS, Averages, Run, assemble
+from plough_opt.motion.run import ARRAYS, Averages, Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.checks import (
     failed_by,
@@ -33,7 +48,7 @@ from plough_opt.motion.solvers.checks import (
 from plough_opt.motion.solvers.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.solvers.orbit import orbit_map, without_orbit
 from plough_opt.motion.solvers.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, rates_of, timeline_of
-from plough_opt.motion.solvers.steps import Array, Timeline, run_map
+from plough_opt.motion.solvers.steps import Array, Timeline, ends, run_map
 
 _MOST_EVENTS = 1_000_000
 # CasADi quotes this name in its error if a forward derivative of a forward derivative, which it lacks, is requested.
@@ -256,7 +271,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[C
     return tuple(run.call([inputs, carried]))
 
 
-def labelled(value: Column, scene: Scene) -> Expression:
+def _labelled(value: Column, scene: Scene) -> Expression:
     """Return a value with its scene attached as a label if the scene holds MX symbols."""
     template, carried, key = _carried(scene)
     if isinstance(carried, ca.MX) and is_symbolic(carried):
@@ -287,6 +302,109 @@ def _build(solver: Integration, count: int) -> ca.Function:
     results = [ca.densify(result) for result in solver.function.call([p])]
     names = ["parameters", "scene"], ["states", "means", "variances"]
     return ca.Function("run", [p, carried], results, *names, {"never_inline": True})
+
+
+def assemble(
+    scene: Scene,
+    p: Parameters,
+    duration: Expression,
+    fractions: NDArray[np.float64],
+    states: Column,
+    means: Column,
+    variances: Column,
+    accuracy: Accuracy,
+) -> Run:
+    """Return the run that belongs to integrated changes since the start.
+
+    Args:
+        scene: the scene, numeric or symbolic.
+        p: its parameters, as `plough_opt.motion.equation.parameters` returns them.
+        duration: simulated time [s].
+        fractions: output times as fractions of the duration.
+        states: states (w, w', ...) in columns, a row for each output.
+        means: means of the signals of `plough_opt.motion.equation`.
+        variances: mean squares about the mean of those signals that have an RMS.
+        accuracy: method and setting used.
+    """
+    structure, time = Structure.of(scene), column(fractions, is_casadi(states)) * duration
+    state = [states[:, k] for k in range(states.shape[1])]
+    force, soil, deflection, speed, travel, opening, mode = structure.outputs(p, time, state)
+    averages = Averages(*structure.averages(p, means, variances))
+    return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
+
+
+GAUSS_POINTS = 10
+"""Gauss-Legendre nodes in each panel, for the averages of a numeric quasi-static run and of a component."""
+
+MORE_POINTS = 6
+"""Additional nodes in each panel of the checking run."""
+
+SYMBOLIC_GAUSS_POINTS = 4
+"""Gauss-Legendre nodes in each panel of a symbolic run, whose graph grows with them."""
+
+# Exact for the square of a ramp's force, a polynomial of degree 20, even if the ramp lies within one panel.
+_RAMP_GAUSS_POINTS = 11
+
+
+def quasi_static(
+    scene: Scene,
+    p: Parameters,
+    duration: Expression,
+    timeline: Timeline,
+    accuracy: Accuracy,
+    points: int = GAUSS_POINTS,
+) -> Run:
+    """Return the run of a share that follows the strut: P = F0 (1 + eps sin(2 pi s/ell)) + Fd s'^2, z = P/k0.
+
+    Averages are composite Gauss-Legendre quadratures with a panel for each step of the timeline.
+
+    Args:
+        scene: the scene, numeric or symbolic.
+        p: its parameters, as `plough_opt.motion.equation.parameters` returns them.
+        duration: simulated time [s].
+        timeline: panels and outputs.
+        accuracy: the setting, which the run keeps.
+        points: number of nodes in each panel.
+    """
+    structure, symbolic = Structure.of(scene), any(map(is_casadi, (*p.values(), duration)))
+    steady = structure.steady_resistance(p, scene.tow_speed)
+    p = {**p, "static": _labelled(p["static"], scene)}
+    nodes, weights = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
+
+    def course(fractions: Column) -> tuple[Column, Column, Column, Column]:
+        """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
+        time = (column(fractions, symbolic) if isinstance(fractions, np.ndarray) else fractions) * duration
+        path, speed = structure.towed(p, time)
+        force, everywhere = structure.resistance(p, path, speed), 0.0 * time
+        return time, path + everywhere, speed + everywhere, force + everywhere
+
+    time, path, speed, force = course(timeline.output_fractions)
+    _, _, node_speed, node_force = course(nodes)
+    # Averages of the change since the first node: a constant force then has no variance by rounding of the weights.
+    change = node_force - node_force[0]
+    mean_change = dot(weights, change)
+    mean_draft = node_force[0] + mean_change
+    variance = dot(weights, (change - mean_change) ** 2)
+    force_rms, stiffness, still = rms(variance, steady), scene.stiffness, 0.0 * force + 0.0
+    tow_power = dot(weights, node_force * node_speed)
+    averages = Averages(mean_draft, force_rms, mean_draft / stiffness, force_rms / stiffness, tow_power)
+    deflection = force / stiffness
+    return Run(scene, duration, time, path, speed, deflection, force, force, still, still, averages, accuracy)
+
+
+def _quadrature(timeline: Timeline, points: int, duration: Expression, ramp: Expression) -> tuple[Column, Column]:
+    """Return quadrature nodes and weights of a time average, as fractions of the duration."""
+    points = max(points, _RAMP_GAUSS_POINTS) if timeline.moving else points
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    if timeline.moving:
+        a, b = ends(timeline, duration, ramp)
+        panel_ends = a + b * (ramp / duration)
+        starts, sizes = panel_ends[:-1], panel_ends[1:] - panel_ends[:-1]
+        rows = [starts + sizes * ((node + 1.0) / 2.0) for node in nodes]
+        return ca.vertcat(*rows), ca.vertcat(*(sizes * (weight / 2.0) for weight in weights))
+    sizes = np.diff(timeline.nodes)[:, None]
+    inner = timeline.nodes[:-1, None] + sizes * (nodes + 1.0) / 2.0
+    return inner.ravel(), (sizes * weights / 2.0).ravel()
 
 
 # An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
@@ -444,7 +562,7 @@ Results = tuple[Array, Array, Array]
 
 def _assembled(case: Case, timeline: Timeline, found: Results, accuracy: Accuracy) -> Run:
     """Return the run that belongs to results of its integration."""
-    return assemble(case.scene, case.duration, timeline.output_fractions, *found, accuracy, case.p)
+    return assemble(case.scene, case.p, case.duration, timeline.output_fractions, *found, accuracy)
 
 
 def thinned(run: Run, outputs: int) -> Run:

@@ -25,12 +25,10 @@ from plough_opt.motion import Run, simulate
 from plough_opt.motion.effects import HarmonicBalance, StickSlip
 from plough_opt.motion.equation import Structure
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS, ORDER_8, Accuracy, adaptive, fixed_step
-from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.simulation import quasi_static
 from plough_opt.motion.solvers.checks import refuse_missed_event
 from plough_opt.motion.solvers.compiled_steps import compiled_steps
-from plough_opt.motion.solvers.integrators import Case, integration
+from plough_opt.motion.solvers.integrators import Case, assemble, integration, quasi_static
 from plough_opt.motion.solvers.plan import most_steps, numbers_of, phase, rates_of, steps_for, timeline_of, with_setting
 from plough_opt.studies.accuracy.reference import AVERAGES, QUANTITIES, Reference, ReferenceGradient, errors_of
 from plough_opt.studies.accuracy.result import AUTO, BARE, COMPILED, MACHINE_CODE, MethodResult, efficient, error_text
@@ -375,7 +373,8 @@ def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple
         states, means, variances = _finite(once())
         states = states.T if case.code is None else states
         fractions = timeline.output_fractions
-        motion = assemble(task.scene, task.duration, fractions, states, means.ravel(), variances.ravel(), accuracy)
+        averages = means.ravel(), variances.ravel()
+        motion = assemble(task.scene, case.p, task.duration, fractions, states, *averages, accuracy)
         if isinstance(task.scene.effects.contact, StickSlip):
             refuse_missed_event(motion)
         return motion
@@ -573,7 +572,7 @@ def _quasi_static(task: Task) -> Callable[[], Run]:
     scene = replace(task.scene, effects=effects)
     steps = steps_for(rates_of(scene).forced * task.duration)
     timeline = timeline_of(scene, task.duration, task.outputs, steps)
-    return partial(quasi_static, scene, task.duration, timeline, Accuracy())
+    return partial(quasi_static, scene, numbers_of(scene), task.duration, timeline, Accuracy())
 
 
 def _errors(prefix: str, run: Run, reference: Reference | None) -> dict[str, float]:

@@ -24,8 +24,8 @@ from plough_opt.motion import Run, simulate
 from plough_opt.motion.batch.series import EXPRESSIONS, Interpreter
 from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, equation_of, lightest_mass, parameters
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.solvers.integrators import assemble
 from plough_opt.motion.solvers.plan import rates_of
 
 LONGDOUBLE: Final = np.longdouble
@@ -358,7 +358,7 @@ class IntegratedMotion:
         """Return the run of the scene that has these states and averages."""
         motion, duration = self.motion, self.times[-1]
         fractions = self.times / duration
-        return assemble(motion.scene, duration, fractions, self.states, *self.moments, Accuracy(), motion.p)
+        return assemble(motion.scene, motion.p, duration, fractions, self.states, *self.moments, Accuracy())
 
 
 def integrate(

@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import unlabelled
-from plough_opt.core.expressions import Column, Expression, is_casadi, kept, rms, stacked, where
+from plough_opt.core.expressions import Column, Expression, is_casadi, kept, minimum, rms, sqrt, stacked, where
 from plough_opt.motion.effects import (
     TERMS,
     Damping,
@@ -291,31 +291,6 @@ class Structure:
             speed, soil = by_mode(mode, speed, 0.0, speed), by_mode(mode, soil, force, 0.0)
         return force, soil, deflection, speed, travel, opening, mode
 
-    def sizes(self, p: dict[str, Any], duration: Any) -> Column:
-        """Return the sizes to expect in a run, to which tolerances can be relative.
-
-        Args:
-            p: symbols of the parameters that have an influence, by name.
-            duration: simulated time [s], a symbol.
-
-        Returns:
-            A column of the sizes of w [m] and w' [m/s], of each of the signals, and of the RMS of those that have one.
-        """
-        complete = dict.fromkeys(self.names, 0.0) | p
-        speed, stiffness = complete["tow_speed"], ca.fabs(p["stiffness"])  # a repelling spring has a negative one
-        hardness = ca.sqrt(stiffness * lightest_mass(p))
-        force = self.start_resistance(complete) + speed * hardness + _LEAST_FORCE
-        if self.relaxed and self.sticks:
-            # The resistance may be far greater than the force that the relaxed spring reaches.
-            force = ca.fmin(force, speed * (stiffness * duration + hardness) + _LEAST_FORCE)
-        deflection, rate = force / stiffness, force / hardness
-        squared, others = [deflection], []
-        if self.damper:
-            squared.append(force + self.pull(p, 0.0, rate))
-        if self.accelerates:
-            others.append(force * (speed + rate))
-        return stacked(deflection, rate, *squared, *others, *squared)
-
     def averages(self, p: Parameters, means: Column, variances: Column) -> tuple[Column, ...]:
         """Return the averages of a run.
 
@@ -423,6 +398,42 @@ class Equation:
         used = {symbol.name() for symbol in ca.symvar(found)}
         names = tuple(name for name in self.structure.names if name in used)
         return names, ca.Function("outputs", [given, stacked(*(symbols[name] for name in names))], [ca.cse(found)])
+
+    @cached_property
+    def sizes(self) -> ca.Function:
+        """Parameters with the duration last -> sizes to expect in a run, to which tolerances can be relative.
+
+        The result is a column of the sizes of w [m] and w' [m/s], of each of the signals, and of the RMS of those that
+        have one.
+        """
+        column, p = self.symbols(ca.MX)
+        structure, complete = self.structure, dict.fromkeys(self.structure.names, 0.0) | p
+        speed, stiffness = complete["tow_speed"], abs(p["stiffness"])  # a repelling spring has a negative one
+        hardness = sqrt(stiffness * lightest_mass(p))
+        force = structure.start_resistance(complete) + speed * hardness + _LEAST_FORCE
+        if structure.relaxed and structure.sticks:
+            # The resistance may be far greater than the force that the relaxed spring reaches.
+            force = minimum(force, speed * (stiffness * column[-1] + hardness) + _LEAST_FORCE)
+        deflection, rate = force / stiffness, force / hardness
+        squared, others = [deflection], []
+        if structure.damper:
+            squared.append(force + structure.pull(p, 0.0, rate))
+        if structure.accelerates:
+            others.append(force * (speed + rate))
+        return ca.Function("sizes", [column], [stacked(deflection, rate, *squared, *others, *squared)])
+
+    @cached_property
+    def sliding(self) -> ca.Function:
+        """(travel, parameters) -> change of the resistance since the start [N], and its slope by speed [N s/m].
+
+        Both are those of a share that slides steadily at the strut's initial speed.
+        """
+        travel, gain, p = ca.SX.sym("travel"), ca.SX.sym("gain"), ca.SX.sym("p", len(self.names))
+        known = dict(zip(self.names, ca.vertsplit(p), strict=True))
+        change: Column = self.structure.resistance_change(known, travel, gain)
+        force = ca.SX(change)
+        both = (ca.densify(ca.substitute(one, gain, 0.0)) for one in (force, ca.jacobian(force, gain)))
+        return ca.Function("sliding", [travel, p], list(both))
 
     @property
     def states(self) -> int:

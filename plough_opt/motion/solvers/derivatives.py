@@ -109,8 +109,8 @@ def jets(
         states output by output, means, variances). Its columns are the values, the first derivatives and, with order 2,
         the second derivatives of `pairs`.
     """
-    (p, _), count = equation.symbols(ca.MX), len(varying)
-    ramp = moving_ramp(equation, timeline, p)
+    (p, known), count = equation.symbols(ca.MX), len(varying)
+    ramp = moving_ramp(timeline, known)
     spans = spans_of(timeline, p[-1], ramp)
     steps = spans.shape[1]
     first, ramp_part = _at_start(equation, varying, order)(p)

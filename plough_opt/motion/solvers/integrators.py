@@ -32,7 +32,7 @@ from plough_opt.core.expressions import (
     template_of,
 )
 from plough_opt.core.process import without_notices
-from plough_opt.motion.effects import StickSlip, ramp_time
+from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.methods import METHODS, Accuracy
@@ -48,7 +48,7 @@ from plough_opt.motion.solvers.checks import (
 from plough_opt.motion.solvers.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.solvers.orbit import orbit_map, without_orbit
 from plough_opt.motion.solvers.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, rates_of, timeline_of
-from plough_opt.motion.solvers.steps import Array, Timeline, ends, run_map
+from plough_opt.motion.solvers.steps import Array, Timeline, quadrature, run_map
 
 _MOST_EVENTS = 1_000_000
 # CasADi quotes this name in its error if a forward derivative of a forward derivative, which it lacks, is requested.
@@ -148,7 +148,7 @@ def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> Si
     name = "motion" if transition is None else _NAME_WITH_EVENTS
     with without_notices():
         solver = ca.integrator(name, accuracy.method, scaled, 0.0, times.tolist(), options)
-    p, known = equation.symbols(ca.MX)
+    p, _ = equation.symbols(ca.MX)
     sizes = ca.MX.sym("sizes", 2 + equation.averages)
     unit, of_means, of_spreads = _units(equation, sizes)
     first = equation.start(p[:-1])
@@ -159,8 +159,7 @@ def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> Si
     means = stacked(result["xf"][equation.states :, -1], others) * of_means
     found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
     function = ca.Function(f"sized_{accuracy.method}", [p, sizes], found, {"never_inline": True})
-    expected = ca.Function("expected", [p], [equation.structure.sizes(known, p[-1])])
-    return Sized(function, expected, solver, ca.Function("given", [p, sizes], given))
+    return Sized(function, equation.sizes, solver, ca.Function("given", [p, sizes], given))
 
 
 def _units(equation: Equation, sizes: Any) -> tuple[Any, Any, Any]:
@@ -342,9 +341,6 @@ MORE_POINTS = 6
 SYMBOLIC_GAUSS_POINTS = 4
 """Gauss-Legendre nodes in each panel of a symbolic run, whose graph grows with them."""
 
-# Exact for the square of a ramp's force, a polynomial of degree 20, even if the ramp lies within one panel.
-_RAMP_GAUSS_POINTS = 11
-
 
 def quasi_static(
     scene: Scene,
@@ -369,7 +365,7 @@ def quasi_static(
     structure, symbolic = Structure.of(scene), any(map(is_casadi, (*p.values(), duration)))
     steady = structure.steady_resistance(p, scene.tow_speed)
     p = {**p, "static": _labelled(p["static"], scene)}
-    nodes, weights = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
+    nodes, weights = quadrature(timeline, points, duration, p)
 
     def course(fractions: Column) -> tuple[Column, Column, Column, Column]:
         """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
@@ -390,21 +386,6 @@ def quasi_static(
     averages = Averages(mean_draft, force_rms, mean_draft / stiffness, force_rms / stiffness, tow_power)
     deflection = force / stiffness
     return Run(scene, duration, time, path, speed, deflection, force, force, still, still, averages, accuracy)
-
-
-def _quadrature(timeline: Timeline, points: int, duration: Expression, ramp: Expression) -> tuple[Column, Column]:
-    """Return quadrature nodes and weights of a time average, as fractions of the duration."""
-    points = max(points, _RAMP_GAUSS_POINTS) if timeline.moving else points
-    nodes, weights = np.polynomial.legendre.leggauss(points)
-    if timeline.moving:
-        a, b = ends(timeline, duration, ramp)
-        panel_ends = a + b * (ramp / duration)
-        starts, sizes = panel_ends[:-1], panel_ends[1:] - panel_ends[:-1]
-        rows = [starts + sizes * ((node + 1.0) / 2.0) for node in nodes]
-        return ca.vertcat(*rows), ca.vertcat(*(sizes * (weight / 2.0) for weight in weights))
-    sizes = np.diff(timeline.nodes)[:, None]
-    inner = timeline.nodes[:-1, None] + sizes * (nodes + 1.0) / 2.0
-    return inner.ravel(), (sizes * weights / 2.0).ravel()
 
 
 # An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out

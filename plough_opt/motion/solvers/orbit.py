@@ -110,17 +110,11 @@ def _series(equation: Equation) -> ca.Function:
     coefficients [N], columns by `_turns`, and the mean derivative by the speed [N s/m].
     """
     names, turns = equation.names, _turns(equation)
-    given, travel, gain = ca.SX.sym("given", len(names)), ca.SX.sym("travel"), ca.SX.sym("gain")
-    known = dict(zip(names, ca.vertsplit(given), strict=True))
-    change: Column = equation.structure.resistance_change(known, travel, gain)
-    force = ca.SX(change)
-    slope = ca.substitute(ca.jacobian(force, gain), gain, 0.0)
-    at = ca.Function("at", [travel, given], [ca.densify(ca.substitute(force, gain, 0.0)), ca.densify(slope)])
     count = _SAMPLES * turns[-1]
     phases = 2.0 * math.pi * np.arange(count) / count
     p = ca.MX.sym("p", len(names))
     repeats: Column = _wave(equation).repeats(dict(zip(names, ca.vertsplit(p), strict=True)))
-    forces, slopes = at.map(count)(ca.DM(phases).T / (2.0 * math.pi) * repeats, ca.repmat(p, 1, count))
+    forces, slopes = equation.sliding.map(count)(ca.DM(phases).T / (2.0 * math.pi) * repeats, ca.repmat(p, 1, count))
     sines, cosines = (2.0 / count * function(np.outer(phases, turns)) for function in (np.sin, np.cos))
     found = [ca.sum2(forces) / count, *((forces @ ca.DM(b)).T for b in (sines, cosines)), ca.sum2(slopes) / count]
     return ca.Function("series", [p], found)

@@ -27,8 +27,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.expressions import Column, stacked
+from plough_opt.core.expressions import Column, Expression, stacked
 from plough_opt.motion.effects import ramp_time
+from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Equation, equation_of
 from plough_opt.motion.methods import DOP853, Tableau
 
@@ -41,6 +42,10 @@ _LEAST_PER_SIDE: Final = 0.6
 
 # A kink closer to the end of a step than this fraction of the duration is at that end, up to rounding.
 _SHORT: Final = 1e-9
+
+# Gauss-Legendre nodes that are exact for the square of a ramp's force, a polynomial of degree 20, even if the ramp lies
+# within one panel.
+_RAMP_GAUSS_POINTS: Final = 11
 
 Array = NDArray[np.float64]
 # Times closer than this fraction of the duration are equal up to rounding.
@@ -322,9 +327,9 @@ class OneStep:
         return cls(equation, span, p, known, start, size)
 
 
-def moving_ramp(equation: Equation, timeline: Timeline, p: ca.MX) -> Column:
-    """Return the time [s] of a ramp at whose symbolic end a step ends, or None; the duration is the last of p."""
-    return ramp_time(equation.named(p)) if timeline.moving and equation.structure.ramp else None
+def moving_ramp(timeline: Timeline, p: Parameters) -> Column:
+    """Return the time [s] of a ramp at whose symbolic end a step ends, or None without such a ramp."""
+    return ramp_time(p) if timeline.moving and "ramp_time" in p else None
 
 
 def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:
@@ -336,6 +341,28 @@ def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX |
     rows.append(stacked(0.0, ca.DM(timeline.nodes[1:]) * duration > ramp))
     transposed: ca.MX = ca.horzcat(*rows).T
     return transposed
+
+
+def quadrature(timeline: Timeline, points: int, duration: Expression, p: Parameters) -> tuple[Column, Column]:
+    """Return the nodes and weights of a time average by panels, as fractions of the duration.
+
+    Args:
+        timeline: times of a quasi-static run; each step is a panel.
+        points: number of Gauss-Legendre nodes in each panel.
+        duration: simulated time [s].
+        p: parameters of the scene.
+    """
+    ramp = moving_ramp(timeline, p)
+    nodes, weights = np.polynomial.legendre.leggauss(points if ramp is None else max(points, _RAMP_GAUSS_POINTS))
+    if ramp is not None:
+        a, b = ends(timeline, duration, ramp)
+        panel_ends = a + b * (ramp / duration)
+        starts, sizes = panel_ends[:-1], panel_ends[1:] - panel_ends[:-1]
+        rows = [starts + sizes * ((node + 1.0) / 2.0) for node in nodes]
+        return ca.vertcat(*rows), ca.vertcat(*(sizes * (weight / 2.0) for weight in weights))
+    sizes = np.diff(timeline.nodes)[:, None]
+    inner = timeline.nodes[:-1, None] + sizes * (nodes + 1.0) / 2.0
+    return inner.ravel(), (sizes * weights / 2.0).ravel()
 
 
 def unbroken(equation: Equation, timeline: Timeline, one: ca.Function, count: int = 0) -> ca.Function:
@@ -442,8 +469,8 @@ def run_map(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -
 def run_from(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return a run from any state: (state at time 0, parameters) -> (states at the outputs, means, variances)."""
     first = ca.MX.sym("first", 2)
-    p, _ = equation.symbols(ca.MX)
-    ramp = moving_ramp(equation, timeline, p)
+    p, known = equation.symbols(ca.MX)
+    ramp = moving_ramp(timeline, known)
     spans = spans_of(timeline, p[-1], ramp)
     sizes = spans[1, :] if ramp is None else spans[1, :] + spans[3, :] * (ramp / p[-1])
     count = sizes.shape[1]

@@ -251,10 +251,10 @@ class Structure:
 
     def carried_mass(self, p: Parameters, travel: Expression) -> Expression:
         """Return the added mass of soil [kg] at a travel L [m], in a structure with events."""
-        if not self.carries:
-            return 0.0
-        entry = self.find(Entry)
-        return p["added_mass"] if entry is None else p["added_mass"] * entry.buried(p, travel) ** 3
+        mass = p["added_mass"]
+        for term in self.terms:
+            mass = term.carry(mass, p, travel)
+        return mass if self.carries else 0.0
 
     def outputs(self, p: Parameters, time: Column, state: Sequence[Column]) -> tuple[Column, ...]:
         """Return what a run reports at its output times.

@@ -174,6 +174,10 @@ class Term:
         """Return the largest force [N] that holds a resting share, given that of all terms before it."""
         return self.resist(force, at, p)
 
+    def carry(self, mass: Expression, p: Parameters, travel: Expression) -> Expression:
+        """Return the mass of soil [kg] that the share carries along, given that of all terms before it."""
+        return mass
+
     def pull(self, p: Parameters, rate: Expression) -> Expression:
         """Return the contribution to the mount force [N] at a rate z' of the deflection [m/s]."""
         return 0.0
@@ -304,7 +308,7 @@ class SpeedTerm(Term):
 
 
 class Entry(Term):
-    """Factor (H/h)^2 on the resistance of a share of height h with the length H in the soil."""
+    """Factors on a share of height h with the length H in the soil: (H/h)^2 on resistance, (H/h)^3 on added mass."""
 
     label = field = "entry"
     names = ("height",)
@@ -317,6 +321,9 @@ class Entry(Term):
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
         return force if at.travel is None else self.buried(p, at.travel) ** 2 * force
+
+    def carry(self, mass: Expression, p: Parameters, travel: Expression) -> Expression:
+        return mass * self.buried(p, travel) ** 3
 
     def buried(self, p: Parameters, travel: Expression) -> Expression:
         """Return the fraction H/h of the share's height that is in the soil [-]; it follows from the furthest travel.

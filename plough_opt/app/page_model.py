@@ -29,10 +29,10 @@ from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.run import WITHOUT_RANDOM, Averages, Machine
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.solvers.integrators import GAUSS_POINTS, MORE_POINTS, assemble, quasi_static
+from plough_opt.motion.solvers.integrators import assemble, quasi_static
 from plough_opt.motion.solvers.orbit import near_orbit
 from plough_opt.motion.solvers.plan import forced_rate, rates
-from plough_opt.motion.solvers.steps import Timeline, step
+from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS, Timeline, step
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.problem import FileVariable

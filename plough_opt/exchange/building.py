@@ -60,16 +60,9 @@ from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.scene import Scene, duration_of, quantities_of, with_quantities
 from plough_opt.motion.solvers.checks import refuse_runaway
 from plough_opt.motion.solvers.derivatives import derivative_error
-from plough_opt.motion.solvers.integrators import (
-    GAUSS_POINTS,
-    MORE_POINTS,
-    Integration,
-    assemble,
-    integration,
-    quasi_static,
-)
+from plough_opt.motion.solvers.integrators import Integration, assemble, integration, quasi_static
 from plough_opt.motion.solvers.plan import fewest_steps, forced_rate, numbers_of, phase, steps_for, timeline_of
-from plough_opt.motion.solvers.steps import Timeline
+from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS, Timeline
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 
 DURATION, FRAME, STEEL = BESIDE

@@ -18,8 +18,8 @@ from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers import plan
-from plough_opt.motion.solvers.integrators import GAUSS_POINTS, MORE_POINTS, integration
-from plough_opt.motion.solvers.steps import step
+from plough_opt.motion.solvers.integrators import integration
+from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS, step
 
 
 @dataclass(frozen=True)

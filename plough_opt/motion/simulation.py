@@ -21,30 +21,16 @@ from plough_opt.core.expressions import (
     map_expressions,
 )
 from plough_opt.motion.effects import profile_of
-from plough_opt.motion.effects.terms import Parameters
-from plough_opt.motion.equation import Structure, parameters
+from plough_opt.motion.equation import parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
 from plough_opt.motion.run import Checks, Run
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers import checks, plan
 from plough_opt.motion.solvers.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
 from plough_opt.motion.solvers.compiled_steps import source_of
-from plough_opt.motion.solvers.integrators import (
-    GAUSS_POINTS,
-    MORE_POINTS,
-    SYMBOLIC_GAUSS_POINTS,
-    Case,
-    Integrated,
-    assemble,
-    compared,
-    embed,
-    integrate,
-    integration,
-    quasi_static,
-    thinned,
-)
+from plough_opt.motion.solvers.integrators import Case, Integrated, compared, integrate, quasi_static, symbolic, thinned
 from plough_opt.motion.solvers.orbit import which_motion
-from plough_opt.motion.solvers.steps import Array
+from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS, Array
 from plough_opt.soil.strength import check_strength
 
 _LOG = logging.getLogger(__name__)
@@ -152,7 +138,11 @@ def simulate(
         check_single("simulate", (scene, duration))
         p = parameters(scene)
         if any(map(is_symbolic, (*p.values(), scene.mass, duration))):
-            return _symbolic(scene, p, duration, accuracy, outputs, compiled)
+            if compiled:
+                instead = "the design or component that uses it is compiled"
+                raise InputError(f"a symbolic run cannot be compiled by itself: {instead}")
+            check_strength(scene.effects.waves)
+            return symbolic(scene, p, duration, accuracy, outputs)
         scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
     started = time.perf_counter()
     case = Case.of(scene, float(duration), outputs, compiled=compiled)
@@ -199,23 +189,6 @@ def _read(
     if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * len(profile.pieces)):
         raise InputError(f"accuracy steps = {steps} are too few for the knots of the tow speed: give {fewest} or more")
     return scene, found
-
-
-def _symbolic(
-    scene: Scene, p: Parameters, duration: Expression, accuracy: Accuracy, outputs: int, compiled: bool
-) -> Run:
-    """Return the run as expressions of the scene's symbols; raise InputError if it is to be compiled."""
-    if compiled:
-        raise InputError(
-            "a symbolic run cannot be compiled by itself: the design or component that uses it is compiled"
-        )
-    check_strength(scene.effects.waves)
-    accuracy, timeline = plan.of_symbols(scene, p, duration, accuracy, outputs)
-    if not scene.effects.motion:
-        return quasi_static(scene, p, duration, timeline, accuracy, SYMBOLIC_GAUSS_POINTS)
-    solver = integration(Structure.of(scene), accuracy, timeline)
-    states, means, variances = embed(solver, solver.equation.column(p, duration), scene)
-    return assemble(scene, p, duration, timeline.output_fractions, states.T, means, variances, accuracy)
 
 
 def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:

@@ -38,6 +38,7 @@ from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.methods import METHODS, Accuracy
 from plough_opt.motion.run import ARRAYS, Averages, Run
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.solvers import plan
 from plough_opt.motion.solvers.checks import (
     failed_by,
     refuse_missed_event,
@@ -47,8 +48,7 @@ from plough_opt.motion.solvers.checks import (
 )
 from plough_opt.motion.solvers.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.solvers.orbit import orbit_map, without_orbit
-from plough_opt.motion.solvers.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, rates_of, timeline_of
-from plough_opt.motion.solvers.steps import Array, Timeline, quadrature, run_map
+from plough_opt.motion.solvers.steps import GAUSS_POINTS, Array, Timeline, quadrature, run_map
 
 _MOST_EVENTS = 1_000_000
 # CasADi quotes this name in its error if a forward derivative of a forward derivative, which it lacks, is requested.
@@ -332,14 +332,29 @@ def assemble(
     return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
 
 
-GAUSS_POINTS = 10
-"""Gauss-Legendre nodes in each panel, for the averages of a numeric quasi-static run and of a component."""
+# Gauss-Legendre nodes in each panel of a symbolic run, whose graph grows with them.
+_SYMBOLIC_GAUSS_POINTS = 4
 
-MORE_POINTS = 6
-"""Additional nodes in each panel of the checking run."""
 
-SYMBOLIC_GAUSS_POINTS = 4
-"""Gauss-Legendre nodes in each panel of a symbolic run, whose graph grows with them."""
+def symbolic(scene: Scene, p: Parameters, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
+    """Return the run as expressions of the scene's symbols.
+
+    Args:
+        scene: the scene.
+        p: its parameters, as `plough_opt.motion.equation.parameters` returns them.
+        duration: simulated time [s].
+        accuracy: the setting that was asked for.
+        outputs: number of intervals between output times.
+
+    Raises:
+        InputError: as `embed`.
+    """
+    accuracy, timeline = plan.of_symbols(scene, p, duration, accuracy, outputs)
+    if not scene.effects.motion:
+        return quasi_static(scene, p, duration, timeline, accuracy, _SYMBOLIC_GAUSS_POINTS)
+    solver = integration(Structure.of(scene), accuracy, timeline)
+    states, means, variances = embed(solver, solver.equation.column(p, duration), scene)
+    return assemble(scene, p, duration, timeline.output_fractions, states.T, means, variances, accuracy)
 
 
 def quasi_static(
@@ -362,14 +377,14 @@ def quasi_static(
         accuracy: the setting, which the run keeps.
         points: number of nodes in each panel.
     """
-    structure, symbolic = Structure.of(scene), any(map(is_casadi, (*p.values(), duration)))
+    structure, columns = Structure.of(scene), any(map(is_casadi, (*p.values(), duration)))
     steady = structure.steady_resistance(p, scene.tow_speed)
     p = {**p, "static": _labelled(p["static"], scene)}
     nodes, weights = quadrature(timeline, points, duration, p)
 
     def course(fractions: Column) -> tuple[Column, Column, Column, Column]:
         """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
-        time = (column(fractions, symbolic) if isinstance(fractions, np.ndarray) else fractions) * duration
+        time = (column(fractions, columns) if isinstance(fractions, np.ndarray) else fractions) * duration
         path, speed = structure.towed(p, time)
         force, everywhere = structure.resistance(p, path, speed), 0.0 * time
         return time, path + everywhere, speed + everywhere, force + everywhere
@@ -432,17 +447,17 @@ class Case:
         """
         structure = Structure.of(scene)
         code = compiled_steps(structure) if compiled and scene.effects.motion and structure.stepped else None
-        return cls(scene, duration, outputs, equation_of(structure), numbers_of(scene), code)
+        return cls(scene, duration, outputs, equation_of(structure), plan.numbers_of(scene), code)
 
     @property
     def output_factor(self) -> int:
         """Factor on the requested outputs that are computed, because events between distant outputs go unnoticed."""
-        return self.event_refinement * -(-OUTPUTS // self.outputs) if self.structure.events else 1
+        return self.event_refinement * -(-plan.OUTPUTS // self.outputs) if self.structure.events else 1
 
     @property
     def rate(self) -> float:
         """Angular frequency of the fastest oscillation, or rate of decay if that is faster [rad/s]."""
-        return rates_of(self.scene).fastest
+        return plan.rates_of(self.scene).fastest
 
     @property
     def structure(self) -> Structure:
@@ -454,9 +469,9 @@ class Case:
         """Parameters of the equation, with the duration last."""
         return self.equation.column(self.p, self.duration)
 
-    def timeline(self, outputs: int, accuracy: Accuracy, steps: int = OUTPUTS) -> Timeline:
+    def timeline(self, outputs: int, accuracy: Accuracy, steps: int = plan.OUTPUTS) -> Timeline:
         """Return the times of a run by a method, with its own number of steps if it has one."""
-        return timeline_of(self.scene, self.duration, outputs, accuracy.steps or steps, accuracy.method)
+        return plan.timeline_of(self.scene, self.duration, outputs, accuracy.steps or steps, accuracy.method)
 
     @property
     def phase(self) -> float:
@@ -495,7 +510,8 @@ def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, per
     scene, duration = case.scene, case.duration
     refuse_runaway(scene, duration)
     outputs = case.outputs * case.output_factor
-    timeline = case.timeline(outputs, accuracy, most_steps(case.phase) if accuracy.adaptive else max(outputs, OUTPUTS))
+    steps = plan.most_steps(case.phase) if accuracy.adaptive else max(outputs, plan.OUTPUTS)
+    timeline = case.timeline(outputs, accuracy, steps)
     p = [*(value * (1.0 + perturbation * (-1.0) ** k) for k, value in enumerate(case.column[:-1])), duration]
     if case.code is not None and accuracy.order_8 and (found := case.code(timeline, p)) is not None:
         return Integrated(_assembled(case, timeline, found, accuracy))
@@ -579,9 +595,9 @@ def _sizes(results: Results, expected: Array) -> Array:
 
 def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, float]:
     """Return the motion until shortly before the integration fails, and the time from there to the failure [s]."""
-    method: str = "rosenbrock" if case.phase > STIFF_PHASE else "erk"
+    method: str = "rosenbrock" if case.phase > plan.STIFF_PHASE else "erk"
     coarse = Accuracy(method, tolerance=_COARSE_TOLERANCE)
-    timeline = timeline_of(case.scene, case.duration, OUTPUTS, _COARSE_STEPS, method)
+    timeline = plan.timeline_of(case.scene, case.duration, plan.OUTPUTS, _COARSE_STEPS, method)
     coarse_solver = integration(case.structure, coarse, timeline)
     if _attempt(coarse_solver.function, p) is None:
         solver = coarse_solver

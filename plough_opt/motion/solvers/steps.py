@@ -43,6 +43,12 @@ _LEAST_PER_SIDE: Final = 0.6
 # A kink closer to the end of a step than this fraction of the duration is at that end, up to rounding.
 _SHORT: Final = 1e-9
 
+GAUSS_POINTS: Final = 10
+"""Gauss-Legendre nodes in each panel, for the averages of a numeric quasi-static run and of a component."""
+
+MORE_POINTS: Final = 6
+"""Additional nodes in each panel of the checking run."""
+
 # Gauss-Legendre nodes that are exact for the square of a ramp's force, a polynomial of degree 20, even if the ramp lies
 # within one panel.
 _RAMP_GAUSS_POINTS: Final = 11

@@ -351,10 +351,12 @@ class Scene:
 
         Raises:
             InputError: there is no wave, or several waves have no common length.
+            DomainError: the tow speed is not above 0.
         """
         waves = self.effects.waves
         if not waves:
             raise InputError("the scene has no strength_wave and therefore no period")
+        check_domain("tow speed", self.tow_speed, "m/s", above=0.0, why="a standing share has no orbit")
         return waves[0].wavelength * self.effects.turns[0] / self.tow_speed
 
     @property
@@ -532,7 +534,6 @@ def duration_of(scene: Scene, duration: Any, stacklevel: int = 2) -> Expression:
     if scene.effects.orbit != "transient":
         if duration is not None:
             raise InputError("a periodic orbit lasts one wavelength of the soil's strength: omit the duration")
-        check_domain("tow speed", scene.tow_speed, "m/s", above=0.0, why="a standing share has no orbit")
         return scene.wave_period
     if duration is None:
         raise InputError("the duration is missing: give the time to simulate, in seconds")

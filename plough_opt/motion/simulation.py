@@ -135,7 +135,6 @@ def simulate(
     accuracy = accuracy or _DEFAULT
     scene, duration = _read(scene, duration, accuracy, outputs, compiled, tow_speed)
     if is_casadi(duration) or _holds_casadi(scene):
-        check_single("simulate", (scene, duration))
         p = parameters(scene)
         if any(map(is_symbolic, (*p.values(), scene.mass, duration))):
             if compiled:
@@ -167,6 +166,8 @@ def _read(
         InputError, DomainError: `simulate` refuses its arguments.
     """
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
+    if is_casadi(duration) or _holds_casadi(scene):
+        check_single("simulate", (scene, duration))
     check_kind("accuracy", accuracy, Accuracy, "an Accuracy, such as Accuracy('erk')")
     whole_number("outputs", outputs, 1, plan.MOST_OUTPUTS)
     check_switch("compiled", compiled)
@@ -183,7 +184,7 @@ def _read(
     if tow_speed is not None:
         if is_symbolic(found):
             raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
-        largest, course = profile_of(tow_speed, float(as_number(found)))
+        largest, course = profile_of(tow_speed, float(found))
         scene = replace(scene, tow_speed=largest, effects=replace(scene.effects, tow_profile=course))
     profile, steps = scene.effects.tow_profile, accuracy.steps
     if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * len(profile.pieces)):

@@ -57,6 +57,7 @@ from plough_opt.motion.batch.advance import (
 )
 from plough_opt.motion.batch.series import Engine
 from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.effects.terms import SHORTEST_RAMP
 from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers.orbit import inverse, near_orbit, returning, without_orbit
@@ -327,8 +328,8 @@ class Batch:
         reasons = self._check.reasons(quantities)
         prepared = self._engine.evaluate("setup", rows)
         if layout.structure.ramp:
-            ramp_times = prepared[layout.names.index("ramp_time")]
-            reasons |= {int(k): _NO_RAMP for k in np.flatnonzero(~(ramp_times > 0.0)) if int(k) not in reasons}
+            ramps = prepared[layout.names.index("ramp_time")]
+            reasons |= {int(k): _NO_RAMP for k in np.flatnonzero(~(ramps > SHORTEST_RAMP)) if int(k) not in reasons}
         which = np.delete(np.arange(rows.shape[1]), list(reasons))
         prepared = prepared if len(which) == rows.shape[1] else prepared[:, which]
         # Designs in one register wait for the slowest of them; those of similar phase take similar numbers of steps.

@@ -16,14 +16,13 @@ from plough_opt.motion.effects.terms import (
     StrengthWaves,
     Term,
     TowRamp,
-    ramp_time,
     wave_names,
 )
 
 __all__ = [
     "MOST_HARMONICS", "OWN_EFFECTS", "TERMS", "Damping", "Effects", "Entry", "HarmonicBalance", "Own", "OwnResistance",
     "RestingResistance", "Smooth", "SmoothContact", "SpeedProfile", "StickSlip", "StickSlipContact",
-    "StrengthWaves", "Term", "TowProfile", "TowRamp", "profile_of", "ramp_time", "slopes", "wave_names",
+    "StrengthWaves", "Term", "TowProfile", "TowRamp", "profile_of", "slopes", "wave_names",
 ]  # fmt: skip
 
 TERMS: tuple[type[Term], ...] = (

@@ -447,8 +447,8 @@ class StickSlipContact(Term):
         return p["breakaway"] * force
 
 
-# A ramp of this time [s] changes forces by about 1e-11 relative to a start at full speed.
-_SHORTEST_RAMP = 1e-9
+SHORTEST_RAMP = 1e-9
+"""Time of a ramp [s] that changes forces by about 1e-11 relative to a start at full speed."""
 
 
 @dataclass(frozen=True)
@@ -475,13 +475,18 @@ class TowRamp(Term):
     def usual(scene: Any, duration: float) -> float:
         return 0.1 * duration
 
+    def values(self, scene: Towed) -> dict[str, Expression]:
+        time = scene.effects.tow_ramp
+        # If a symbol makes it 0, the formulas of the ramp still hold for a time too short to matter.
+        return {"ramp_time": where(time > 0.0, time, time + SHORTEST_RAMP)}
+
     def strut(self, p: Parameters, time: Expression) -> Strut:
         """Return the strut's motion.
 
         In an equation with events the state ``ramped`` ends the ramp. The step that locates the end overshoots it, and
         its stages beyond the end must still evaluate the ramp's formula.
         """
-        speed, ramp = p["tow_speed"], ramp_time(p)
+        speed, ramp = p["tow_speed"], p["ramp_time"]
         u = where(p["ramped"] > 0.5, 1.0, time / ramp) if "ramped" in p else minimum(time / ramp, 1.0)
         return Strut(
             path=speed * (ramp * u**4 * (2.5 + u * (u - 3.0)) + (time - ramp * u)),
@@ -490,17 +495,11 @@ class TowRamp(Term):
         )
 
     def until(self, p: Parameters, time: Expression, travel: Expression) -> Expression:
-        return ramp_time(p) - time
+        return p["ramp_time"] - time
 
     @staticmethod
     def imposed(p: Parameters) -> tuple[Any, ...]:
         return (2.0 * math.pi / p["ramp_time"],) if "ramp_time" in p else ()
-
-
-def ramp_time(p: Parameters) -> Expression:
-    """Return the time of the strut's ramp [s]; if a symbol makes it 0, a time too short to matter."""
-    time = p["ramp_time"]
-    return where(time > 0.0, time, time + _SHORTEST_RAMP)
 
 
 class Damping(Term):

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Variant, in_machine_code
 from plough_opt.core.expressions import Column
-from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.equation import Equation
 from plough_opt.motion.methods import DOP853
 from plough_opt.motion.solvers.integrators import Integration, integration
@@ -187,7 +186,7 @@ def _at_start(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Fu
     shifted = ca.SX(p)
     shifted[list(varying)] = p[list(varying)] + e
     known = equation.named(shifted)
-    part: Column = ramp_time(known) / shifted[-1] if equation.structure.ramp else ca.SX(0)
+    part: Column = known["ramp_time"] / shifted[-1] if equation.structure.ramp else ca.SX(0)
     both = (_taylor(ca.densify(ca.SX(y)), e, order) for y in (equation.structure.start_state(known), part))
     nothing = ca.SX.zeros(e.numel())
     return ca.Function("at_start", [p], [ca.densify(ca.substitute(jet, e, nothing)) for jet in both])

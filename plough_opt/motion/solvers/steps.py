@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.expressions import Column, Expression, stacked
-from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Equation, equation_of
 from plough_opt.motion.methods import DOP853, Tableau
@@ -328,14 +327,14 @@ class OneStep:
         size: Column = span[1] * p[-1]
         if width > 2:
             equation = equation_of(replace(equation.structure, ramp_by_step=True))
-            start, size = start + span[2] * ramp_time(known), size + span[3] * ramp_time(known)
+            start, size = start + span[2] * known["ramp_time"], size + span[3] * known["ramp_time"]
             known = known | {"ramped": span[4]}
         return cls(equation, span, p, known, start, size)
 
 
 def moving_ramp(timeline: Timeline, p: Parameters) -> Column:
     """Return the time [s] of a ramp at whose symbolic end a step ends, or None without such a ramp."""
-    return ramp_time(p) if timeline.moving and "ramp_time" in p else None
+    return p.get("ramp_time") if timeline.moving else None
 
 
 def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:

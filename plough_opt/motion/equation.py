@@ -424,12 +424,11 @@ class Equation:
 
     @cached_property
     def sliding(self) -> ca.Function:
-        """(travel, parameters) -> change of the resistance since the start [N], and its slope by speed [N s/m].
+        """Resistance to a share that slides steadily at the strut's initial speed, as a Function.
 
-        Both are those of a share that slides steadily at the strut's initial speed.
+        It is (travel, parameters with the duration last) -> (change since the start [N], slope by the speed [N s/m]).
         """
-        travel, gain, p = ca.SX.sym("travel"), ca.SX.sym("gain"), ca.SX.sym("p", len(self.names))
-        known = dict(zip(self.names, ca.vertsplit(p), strict=True))
+        travel, gain, (p, known) = ca.SX.sym("travel"), ca.SX.sym("gain"), self.symbols(ca.SX)
         change: Column = self.structure.resistance_change(known, travel, gain)
         force = ca.SX(change)
         both = (ca.densify(ca.substitute(one, gain, 0.0)) for one in (force, ca.jacobian(force, gain)))

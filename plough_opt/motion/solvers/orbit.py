@@ -61,18 +61,21 @@ def monodromy(equation: Equation, timeline: Timeline) -> ca.Function:
     return ca.Function("monodromy", [first, p], [ca.jacobian(last, first)])
 
 
-def _response(equation: Equation, p: dict[str, Column]) -> tuple[Column, Column, Column]:
+def _response(equation: Equation, column: ca.MX, p: dict[str, Column]) -> tuple[Column, Column, Column]:
     """Return the mean, the sine and the cosine coefficients of w [m] in the linear response about steady sliding.
 
     On the steady path L = V0 t, with theta = omega t, the resistance is Fm + sum of Fs sin(n theta) + Fc cos(n theta),
     where each wave makes n turns in the common length. The response solves M w'' + d w' + k0 w = that series, delayed
     by the phase 2 pi z0/ell of the start deflection, with d = c + dF/dL'. The coefficients are columns by the number n
     from 1 on.
+
+    Args:
+        equation: the equation of motion.
+        column: its parameters with the duration last.
+        p: the same by name.
     """
-    names, repeats = equation.names, _wave(equation).repeats(p)
-    omega = _frequency(equation, p)
-    mean, along_sine, along_cosine, slope = _series(equation)(stacked(*(p[name] for name in names)))
-    turns = _turns(equation)
+    repeats, omega, turns = _wave(equation).repeats(p), _frequency(equation, p), _turns(equation)
+    mean, along_sine, along_cosine, slope = _series(equation)(column)
     n = ca.DM(turns)
     damping = equation.structure.pull(p, 0.0, 1.0) + slope
     spring, damped = p["stiffness"] - p["inertia"] * (n * omega) ** 2, damping * n * omega
@@ -106,14 +109,13 @@ def _turns(equation: Equation) -> list[int]:
 def _series(equation: Equation) -> ca.Function:
     """Return parameters -> Fourier coefficients of the resistance on the steady path, and its slope.
 
-    The parameters are those of `signals`. The results are the mean change since the start [N], the sine and the cosine
-    coefficients [N], columns by `_turns`, and the mean derivative by the speed [N s/m].
+    The duration is the last of the parameters. The results are the mean change since the start [N], the sine and the
+    cosine coefficients [N], columns by `_turns`, and the mean derivative by the speed [N s/m].
     """
-    names, turns = equation.names, _turns(equation)
+    turns, (p, known) = _turns(equation), equation.symbols(ca.MX)
     count = _SAMPLES * turns[-1]
     phases = 2.0 * math.pi * np.arange(count) / count
-    p = ca.MX.sym("p", len(names))
-    repeats: Column = _wave(equation).repeats(dict(zip(names, ca.vertsplit(p), strict=True)))
+    repeats: Column = _wave(equation).repeats(known)
     forces, slopes = equation.sliding.map(count)(ca.DM(phases).T / (2.0 * math.pi) * repeats, ca.repmat(p, 1, count))
     sines, cosines = (2.0 / count * function(np.outer(phases, turns)) for function in (np.sin, np.cos))
     found = [ca.sum2(forces) / count, *((forces @ ca.DM(b)).T for b in (sines, cosines)), ca.sum2(slopes) / count]
@@ -130,7 +132,7 @@ def _size(equation: Equation, p: dict[str, Column]) -> Column:
 def near_orbit(equation: Equation) -> ca.Function:
     """Return parameters -> state (w [m], w' [m/s]) of the linear response at time 0, and the units of states."""
     p, known = equation.symbols(ca.MX)
-    mean, sines, cosines = _response(equation, known)
+    mean, sines, cosines = _response(equation, p, known)
     omega, size = _frequency(equation, known), _size(equation, known)
     turning = omega * ca.dot(ca.DM(range(1, sines.numel() + 1)), sines)
     state, unit = stacked(mean + ca.sum1(cosines), turning), stacked(size, size * omega)
@@ -217,7 +219,7 @@ def without_orbit(scene: Scene) -> str:
 def _linear(equation: Equation) -> ca.Function:
     """Return parameters -> Fourier coefficients of the linear response: mean, cosines, sines [m]."""
     p, known = equation.symbols(ca.MX)
-    mean, sines, cosines = _response(equation, known)
+    mean, sines, cosines = _response(equation, p, known)
     return ca.Function("linear", [p], [stacked(mean, cosines, sines)])
 
 
@@ -229,7 +231,7 @@ def _balanced(equation: Equation) -> ca.Function:
     phases = 2.0 * math.pi * np.arange(samples) / samples
     basis, slope, bend = _basis(count, phases)
     (p, known), x = equation.symbols(ca.MX), ca.MX.sym("x", 2 * count + 1)
-    mean, sines, cosines = _response(equation, known)
+    mean, sines, cosines = _response(equation, p, known)
     omega = _frequency(equation, known)
     size = _size(equation, known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))

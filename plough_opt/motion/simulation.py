@@ -1,4 +1,4 @@
-"""`simulate`: numeric scenes integrated twice, symbolic scenes for designs, and the quasi-static limit of both."""
+"""`simulate`: arguments are checked, numeric scenes integrated twice, symbolic scenes made into runs for designs."""
 
 import logging
 import math

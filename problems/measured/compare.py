@@ -10,6 +10,7 @@ from particles.run_plan import Array, read_rows
 
 import plough_opt as po
 from plough_opt.laws import McKyesAli, SwickPerumpral, UniversalEarthmoving
+from plough_opt.laws.tines import POINTS
 
 HERE = Path(__file__).parent
 TINES = (McKyesAli, UniversalEarthmoving, SwickPerumpral)
@@ -167,7 +168,7 @@ def second_source() -> str:
 
 def narrow_point() -> str:
     """Return the same coefficients as they are in the package."""
-    return ", ".join(f"{one:g}" for one in po.crosscheck.POINTS["narrow"])
+    return ", ".join(f"{one:g}" for one in POINTS["narrow"])
 
 
 def filled(name: str) -> Rows:

@@ -115,6 +115,11 @@ def holds_casadi(value: Any) -> bool:
     return any(map(is_casadi, _nested(value)))
 
 
+def holds_symbols(value: Any) -> bool:
+    """Return whether ``value`` is a CasADi expression that depends on symbols, or a container holds one."""
+    return any(map(is_symbolic, _nested(value)))
+
+
 def holds_several(value: Any) -> bool:
     """Return whether ``value`` is, or a container holds, an array or CasADi matrix without exactly one element."""
     return any(isinstance(item, _MATRICES) and math.prod(item.shape) != 1 for item in _nested(value))

@@ -18,6 +18,7 @@ With a tow ramp whose end is an event, the last state is 0 until that end, and 1
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -27,7 +28,20 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import unlabelled
-from plough_opt.core.expressions import Column, Expression, is_casadi, kept, minimum, rms, sqrt, stacked, where
+from plough_opt.core.errors import DomainError
+from plough_opt.core.expressions import (
+    Column,
+    Expression,
+    as_number,
+    is_casadi,
+    is_symbolic,
+    kept,
+    minimum,
+    rms,
+    sqrt,
+    stacked,
+    where,
+)
 from plough_opt.motion.effects import (
     TERMS,
     Damping,
@@ -48,6 +62,7 @@ from plough_opt.motion.effects.terms import (
     Towed,
     TowRamp,
 )
+from plough_opt.soil.strength import StrengthWave
 
 _Kind = TypeVar("_Kind", bound=Term)
 
@@ -334,6 +349,43 @@ def parameters(scene: Towed) -> dict[str, Expression]:
         for term in structure.terms:
             values |= term.values(scene)
     return values
+
+
+# Points per shortest wavelength at which the strength is evaluated; a minimum between them is lower by at most 1e-3.
+_POINTS = 64
+_MOST_POINTS = 1_000_000
+# Amplitudes of records and files have fewer digits than this.
+_ROUNDING_OF_SUM = 1e-9
+
+
+def check_strength(waves: Sequence[StrengthWave], path: tuple[float, float] | None = None) -> None:
+    """Raise DomainError if waves together make the soil's strength negative; the message gives the place.
+
+    Args:
+        waves: the strength waves; symbolic amplitudes are not checked.
+        path: start and end [m] of the share's path, if known; otherwise the sum of the amplitudes must not exceed 1.
+    """
+    if len(waves) < 2 or any(is_symbolic(wave.amplitude) for wave in waves):
+        return
+    total = float(np.max(sum(as_number(wave.amplitude) for wave in waves)))
+    if total <= 1.0 + _ROUNDING_OF_SUM:
+        return
+    if path is None:
+        raise DomainError(
+            f"the sum of the strength waves' amplitudes is {total:.6g} and must be at most 1 if the path is not known:"
+            " soil cannot push the share forward"
+        )
+    numbers = [[float(as_number(x)) for x in (w.amplitude, w.wavelength, w.phase)] for w in waves]
+    count = (path[1] - path[0]) / min(length for _, length, _ in numbers) * _POINTS
+    travel = np.linspace(*path, int(min(count, _MOST_POINTS)) + 2)
+    sines = [size * np.sin(2.0 * math.pi * travel / length + shift) for size, length, shift in numbers]
+    strength = 1.0 + np.sum(sines, axis=0)
+    least = int(np.argmin(strength))
+    if strength[least] < 0.0:
+        raise DomainError(
+            f"the strength waves change the soil's strength by a factor of {strength[least]:.4g} at a travel of"
+            f" {travel[least]:.4g} m, which must be at least 0: soil cannot push the share forward; reduce an amplitude"
+        )
 
 
 def lightest_mass(p: Parameters) -> Any:

@@ -19,10 +19,10 @@ from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
 from plough_opt.motion.driven import MotionEquation, driven_equation, symbols_of
 from plough_opt.motion.effects import Effects, Smooth
-from plough_opt.motion.equation import Structure, parameters
+from plough_opt.motion.equation import Structure, check_strength, parameters
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.soil import Soil
-from plough_opt.soil.strength import PASS, Sliding, Stationary, check_strength, rare_peak, stationary_response
+from plough_opt.soil.strength import PASS, Sliding, Stationary, rare_peak, stationary_response
 
 # Overburden [Pa] at a depth of about 1.5 m, deeper than any subsoiler works. Higher pressure includes the atmosphere's.
 _GREATEST_OVERBURDEN = 20e3

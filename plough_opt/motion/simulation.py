@@ -15,13 +15,14 @@ from plough_opt.core.expressions import (
     Expression,
     as_number,
     holds_casadi,
+    holds_symbols,
     is_casadi,
     is_symbolic,
     kept,
     map_expressions,
 )
 from plough_opt.motion.effects import profile_of
-from plough_opt.motion.equation import parameters
+from plough_opt.motion.equation import check_strength, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
 from plough_opt.motion.run import Checks, Run
 from plough_opt.motion.scene import Scene, duration_of
@@ -31,7 +32,6 @@ from plough_opt.motion.solvers.compiled_steps import source_of
 from plough_opt.motion.solvers.integrators import Case, Integrated, compared, integrate, quasi_static, symbolic, thinned
 from plough_opt.motion.solvers.orbit import which_motion
 from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS, Array
-from plough_opt.soil.strength import check_strength
 
 _LOG = logging.getLogger(__name__)
 
@@ -135,14 +135,11 @@ def simulate(
     accuracy = accuracy or _DEFAULT
     scene, duration = _read(scene, duration, accuracy, outputs, compiled, tow_speed)
     if is_casadi(duration) or _holds_casadi(scene):
-        p = parameters(scene)
-        if any(map(is_symbolic, (*p.values(), scene.mass, duration))):
-            if compiled:
-                instead = "the design or component that uses it is compiled"
-                raise InputError(f"a symbolic run cannot be compiled by itself: {instead}")
-            check_strength(scene.effects.waves)
-            return symbolic(scene, p, duration, accuracy, outputs)
-        scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
+        if compiled:
+            instead = "the design or component that uses it is compiled"
+            raise InputError(f"a symbolic run cannot be compiled by itself: {instead}")
+        check_strength(scene.effects.waves)
+        return symbolic(scene, parameters(scene), duration, accuracy, outputs)
     started = time.perf_counter()
     case = Case.of(scene, float(duration), outputs, compiled=compiled)
     run, error, notes = verified(case, accuracy)
@@ -162,12 +159,16 @@ def _read(
 ) -> tuple[Scene, Expression]:
     """Return the scene, with the course of its tow speed if given, and the simulated time [s], for an orbit its period.
 
+    They hold floats, or expressions of symbols.
+
     Raises:
         InputError, DomainError: `simulate` refuses its arguments.
     """
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
-    if is_casadi(duration) or _holds_casadi(scene):
-        check_single("simulate", (scene, duration))
+    of_casadi = is_casadi(duration) or _holds_casadi(scene)
+    check_single("simulate", (scene, duration) if of_casadi else duration)
+    if of_casadi and not holds_symbols((scene, duration)):
+        scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
     check_kind("accuracy", accuracy, Accuracy, "an Accuracy, such as Accuracy('erk')")
     whole_number("outputs", outputs, 1, plan.MOST_OUTPUTS)
     check_switch("compiled", compiled)
@@ -180,7 +181,6 @@ def _read(
         methods = " or ".join(map(repr, locating()))
         raise InputError(f"{method} cannot locate the events of stick and slip or entry: use {methods}")
     found = duration_of(scene, duration, stacklevel=4)
-    check_single("simulate", found)
     if tow_speed is not None:
         if is_symbolic(found):
             raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from plough_opt.core.checks import LARGEST, array_of, check_domain, check_kind, check_text, plain_number
-from plough_opt.core.errors import DomainError, InputError
+from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import (
     Expression,
     arcsinh,
@@ -39,9 +39,6 @@ from plough_opt.core.quantities import read_fields
 _MOST_TURNS = 100
 # Relative error up to which wavelengths count as commensurate; records and files give fewer digits than that.
 _COMMENSURATE = 1e-9
-# Points per shortest wavelength at which the strength is evaluated; a minimum between them is lower by at most 1e-3.
-_POINTS = 64
-_MOST_POINTS = 1_000_000
 Vector = NDArray[np.float64]
 PASS = 1000.0
 """Distance [m] of a pass over a field, for which peaks are given."""
@@ -95,36 +92,6 @@ def turns_of(waves: Sequence[StrengthWave]) -> tuple[int, ...]:
             return tuple(int(turn) for turn in np.round(turns))
     given = ", ".join(f"{length:g}" for length in lengths)
     raise InputError(f"the strength waves ({given} m) have no common period, as an orbit needs: simulate from a start")
-
-
-def check_strength(waves: Sequence[StrengthWave], path: tuple[float, float] | None = None) -> None:
-    """Raise DomainError if waves together make the soil's strength negative; the message gives the place.
-
-    Args:
-        waves: the strength waves; symbolic amplitudes are not checked.
-        path: start and end [m] of the share's path, if known; otherwise the sum of the amplitudes must not exceed 1.
-    """
-    if len(waves) < 2 or any(is_symbolic(wave.amplitude) for wave in waves):
-        return
-    total = float(np.max(sum(as_number(wave.amplitude) for wave in waves)))
-    if total <= 1.0 + _COMMENSURATE:
-        return
-    if path is None:
-        raise DomainError(
-            f"the sum of the strength waves' amplitudes is {total:.6g} and must be at most 1 if the path is not known:"
-            " soil cannot push the share forward"
-        )
-    numbers = [[float(as_number(x)) for x in (w.amplitude, w.wavelength, w.phase)] for w in waves]
-    count = (path[1] - path[0]) / min(length for _, length, _ in numbers) * _POINTS
-    travel = np.linspace(*path, int(min(count, _MOST_POINTS)) + 2)
-    sines = [size * np.sin(2.0 * math.pi * travel / length + shift) for size, length, shift in numbers]
-    strength = 1.0 + np.sum(sines, axis=0)
-    least = int(np.argmin(strength))
-    if strength[least] < 0.0:
-        raise DomainError(
-            f"the strength waves change the soil's strength by a factor of {strength[least]:.4g} at a travel of"
-            f" {travel[least]:.4g} m, which must be at least 0: soil cannot push the share forward; reduce an amplitude"
-        )
 
 
 @dataclass(frozen=True)

@@ -58,11 +58,10 @@ from plough_opt.motion.batch.advance import (
 from plough_opt.motion.batch.series import Engine
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.effects.terms import SHORTEST_RAMP
-from plough_opt.motion.equation import Structure, equation_of
+from plough_opt.motion.equation import Structure, check_strength, equation_of
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers.orbit import inverse, near_orbit, returning, without_orbit
 from plough_opt.motion.vocabulary import called
-from plough_opt.soil.strength import check_strength
 
 if TYPE_CHECKING:
     import pandas

@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import DomainError
 from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.model.optimality import (
-    ZERO,
-    decides,
-    free_directions,
-    lagrangian,
-    reduced_curvatures,
-    symmetric,
-)
+from plough_opt.design.model.optimality import ZERO, decides, free_directions, lagrangian, reduced_curvatures, symmetric
 from plough_opt.design.model.program import Program, error_of_derivatives
 from plough_opt.design.model.tight_integration import steps_factor
 from plough_opt.design.search.effort import TimeLimit

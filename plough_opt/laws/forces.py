@@ -9,13 +9,7 @@ import numpy as np
 
 from plough_opt.core.checks import check_domain, check_single, checked_in_designs, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import (
-    Expression,
-    column,
-    dot,
-    gauss_legendre,
-    holds_casadi,
-)
+from plough_opt.core.expressions import Expression, column, dot, gauss_legendre, holds_casadi
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.plastic import WallPressure, front, wall_pressure

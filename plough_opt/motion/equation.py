@@ -52,16 +52,7 @@ from plough_opt.motion.effects import (
     StickSlipContact,
     TowProfile,
 )
-from plough_opt.motion.effects.terms import (
-    Changed,
-    Parameters,
-    Place,
-    StrengthWaves,
-    Strut,
-    Term,
-    Towed,
-    TowRamp,
-)
+from plough_opt.motion.effects.terms import Changed, Parameters, Place, StrengthWaves, Strut, Term, Towed, TowRamp
 from plough_opt.soil.strength import StrengthWave
 
 _Kind = TypeVar("_Kind", bound=Term)

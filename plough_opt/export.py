@@ -17,14 +17,8 @@ if TYPE_CHECKING:
     from plough_opt.exchange.export.openmdao import PloughComponent, write_openmdao
 
 __all__ = [
-    "PloughComponent",
-    "write_c",
-    "write_casadi",
-    "write_fmu",
-    "write_javascript",
-    "write_openmdao",
-    "write_part",
-]
+    "PloughComponent", "write_c", "write_casadi", "write_fmu", "write_javascript", "write_openmdao", "write_part",
+]  # fmt: skip
 
 
 class _NotInstalled(InputError, AttributeError):

@@ -8,16 +8,6 @@ from plough_opt.design.result.sensitivity import Sensitivity
 from plough_opt.design.search.explore import Progress
 
 __all__ = [
-    "Choice",
-    "Design",
-    "Limit",
-    "LocalOptimum",
-    "NonlinearProgram",
-    "Optimum",
-    "Over",
-    "Progress",
-    "Rounded",
-    "Search",
-    "Sensitivity",
-    "Spread",
-]
+    "Choice", "Design", "Limit", "LocalOptimum", "NonlinearProgram", "Optimum", "Over", "Progress", "Rounded", "Search",
+    "Sensitivity", "Spread",
+]  # fmt: skip

@@ -17,7 +17,7 @@ from plough_opt.core.files import COLOURS, figure_of_size, figure_with_panels, s
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import customary
 from plough_opt.design import Limit, LocalOptimum, Optimum
-from plough_opt.design.search.landscape import VIOLATION
+from plough_opt.design.search.landscape import Violation
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
 from plough_opt.motion.run import Machine
@@ -479,7 +479,7 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
     search, name = best.search, list(best.variables)[variable]
     assert search is not None  # a precondition
     display = best.display(name)
-    values, feasible = search.values[:, variable] / display.factor, search.violation <= VIOLATION.allowed
+    values, feasible = search.values[:, variable] / display.factor, search.violation <= Violation.allowed
     for which, color, label in (
         (np.isfinite(search.objective) & ~feasible, _FAILED, "tried, fails a requirement"),
         (feasible, SHARE, "tried, meets all requirements"),

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,27 +17,24 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import DomainError
 from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.model.optimality import ZERO, decides, free_directions, lagrangian, reduced_curvatures, symmetric
+from plough_opt.design.model.optimality import Zero, decides, free_directions, lagrangian, reduced_curvatures, symmetric
 from plough_opt.design.model.program import Program, error_of_derivatives
 from plough_opt.design.model.tight_integration import steps_factor
 from plough_opt.design.search.effort import TimeLimit
-from plough_opt.design.search.landscape import BASINS, FINER, VIOLATION, Landscape, sobol_points
+from plough_opt.design.search.landscape import FINER, Basins, Landscape, Violation, sobol_points
 from plough_opt.design.search.local import AS_FOUND, highest_accepted, solved_again
 
 SMALL = 0.25
 """An objective below this part of its typical size counts as small: near 0 a fraction of it would mean nothing."""
 
 
-class _Refinements(NamedTuple):
+class _Refinements:
     """Bounds of the refinements of the integration steps."""
 
-    most: int = 4
+    most: Final = 4
     # A refinement must reduce the excess of the error to this part of the last one; otherwise more steps do not help.
-    progress: float = 0.5
-    coarse: float = 1e-6  # A program whose method has a fixed setting gets a warning above this relative gap.
-
-
-_REFINEMENTS = _Refinements()
+    progress: Final = 0.5
+    coarse: Final = 1e-6  # A program whose method has a fixed setting gets a warning above this relative gap.
 
 
 def with_enough_steps(
@@ -59,17 +56,17 @@ def with_enough_steps(
         The program, the points, and a warning for each error that is still too large.
     """
     wanted, factor, last = program.wanted_error, program.refinement, math.inf
-    for number in range(_REFINEMENTS.most + 1):
+    for number in range(_Refinements.most + 1):
         # Of the objective at any point, or the violation of a limit if that is larger.
         value_error = max(max(gap_of(program, p, point), _violation(program, p, point)) for point in points)
         slope_error = _slope_error(program, p, points[0])
         excess = max(value_error / (wanted or math.inf), slope_error / program.wanted_of_derivatives)
         # A motion may be too sensitive for any number of steps.
-        if excess <= 1.0 or excess > _REFINEMENTS.progress * last or number == _REFINEMENTS.most:
+        if excess <= 1.0 or excess > _Refinements.progress * last or number == _Refinements.most:
             break
         if limit.passed("finer integration steps"):
             break
-        progress(f"refining: error {max(value_error, slope_error):.1e}", number / _REFINEMENTS.most)
+        progress(f"refining: error {max(value_error, slope_error):.1e}", number / _Refinements.most)
         factor *= steps_factor(excess)
         try:
             finer = program.with_steps(p, factor, [point.y for point in points])
@@ -96,7 +93,7 @@ def _slope_error(program: Program, p: Vector, best: Point) -> float:
     """
     if best.status == AS_FOUND:
         return 0.0
-    if program.checked is not None and np.max(np.abs(program.checked[0] - best.y)) < BASINS.same:
+    if program.checked is not None and np.max(np.abs(program.checked[0] - best.y)) < Basins.same:
         return program.checked[1]
     return error_of_derivatives(program, best.y, p)
 
@@ -104,7 +101,7 @@ def _slope_error(program: Program, p: Vector, best: Point) -> float:
 def _warnings(program: Program, value_error: float, slope_error: float) -> Iterator[str]:
     """Yield a warning for each of the two errors that is larger than wanted."""
     wanted, wanted_of_derivatives = program.wanted_error, program.wanted_of_derivatives
-    if wanted is None and value_error > _REFINEMENTS.coarse:
+    if wanted is None and value_error > _Refinements.coarse:
         yield (
             f"the optimiser's objective has a relative error of {value_error:.1e}: use more steps or a tighter"
             " tolerance"
@@ -140,14 +137,11 @@ def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
     return again if again.solved and again.f <= highest_accepted(program, p, point.y) else point
 
 
-class _Aside(NamedTuple):
+class _Aside:
     """A step from a point along a suspicious direction."""
 
-    step: float = 0.02  # scaled
-    flat: float = 1e-9  # The direction is flat if the objective changes by less than this fraction.
-
-
-_ASIDE = _Aside()
+    step: Final = 0.02  # scaled
+    flat: Final = 1e-9  # The direction is flat if the objective changes by less than this fraction.
 
 
 def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
@@ -157,7 +151,7 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
     after which the other variables are optimised again.
     """
     curvatures, directions = at.curvatures or curvatures_at(program, p, at)
-    flat = np.flatnonzero(np.abs(curvatures) < ZERO.curvature)
+    flat = np.flatnonzero(np.abs(curvatures) < Zero.curvature)
     return [directions[:, k] for k in flat if _confirmed(program, p, at, directions[:, k])]
 
 
@@ -174,9 +168,9 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
     # At the top of a hill each descent may move a single variable.
     for _ in range(len(at.y) + 1):
         curvatures, directions = known = curvatures_at(program, p, at, exact=False)
-        if not curvatures.size or curvatures[0] >= -ZERO.curvature:
+        if not curvatures.size or curvatures[0] >= -Zero.curvature:
             return replace(at, curvatures=known)
-        step = _ASIDE.step * directions[:, 0] / np.max(np.abs(directions[:, 0]))
+        step = _Aside.step * directions[:, 0] / np.max(np.abs(directions[:, 0]))
         starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
         points = [program.solve(start, p, SolveOptions(near=True, exact=False, enough=True)) for start in starts]
         found = [point for point in points if point.solved and point.f < at.f]
@@ -207,7 +201,7 @@ def curvatures_at(
     """
     values, jacobian = rows or program.built.solver.requirements(at.y, p)
     margins, pulls = program.margins(values), np.abs(at.lam_g)
-    active = (margins < ZERO.margin) | decides(margins, pulls)
+    active = (margins < Zero.margin) | decides(margins, pulls)
     # A bound without a multiplier does not stop a move away from it.
     bounds = decides(np.minimum(at.y, 1.0 - at.y), np.abs(at.lam_y))
     free = free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
@@ -228,10 +222,10 @@ def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> boo
     """Return whether the objective stays the same after a step along a direction."""
     leading = int(np.argmax(np.abs(direction)))
     for sign in (1.0, -1.0):
-        moved = at.y + sign * _ASIDE.step * direction / abs(direction[leading])
+        moved = at.y + sign * _Aside.step * direction / abs(direction[leading])
         if np.all((moved >= 0.0) & (moved <= 1.0)):
             there = program.solve(moved, p, SolveOptions(near=True), fixed=[leading])
-            return there.solved and abs(there.f - at.f) <= _ASIDE.flat * max(1.0, abs(at.f))
+            return there.solved and abs(there.f - at.f) <= _Aside.flat * max(1.0, abs(at.f))
     return False
 
 
@@ -379,7 +373,7 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
             r.name: float(margin * scale)
             for r, margin, scale in zip(program.declared.requirements, least, program.scales, strict=True)
         },
-        kept=float(np.mean(landscape.violations(g).sum(axis=1) <= VIOLATION.allowed)),
+        kept=float(np.mean(landscape.violations(g).sum(axis=1) <= Violation.allowed)),
         needle=bool(too_high[0] or 2 * np.sum(valid) < len(valid)),
     )
 
@@ -389,7 +383,7 @@ def _too_high(landscape: Landscape, median: Vector, own: Vector) -> NDArray[np.b
     everywhere = landscape.program.population(unit_box(landscape.dimensions), landscape.p)[0]
     sizes = np.abs(everywhere[np.isfinite(everywhere)]) / landscape.objective_scale
     typical = float(np.median(sizes)) if len(sizes) else 0.0
-    return np.asarray(median - own > BASINS.needle * np.maximum(np.abs(own), SMALL * typical))
+    return np.asarray(median - own > Basins.needle * np.maximum(np.abs(own), SMALL * typical))
 
 
 def corners(n: int, most: int) -> Vector:

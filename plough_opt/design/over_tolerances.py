@@ -12,7 +12,7 @@ import math
 from collections.abc import Hashable
 from dataclasses import replace
 from functools import cache
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import casadi as ca
 import numpy as np
@@ -27,7 +27,7 @@ from plough_opt.design.model.program import Program, cached
 from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.result.sensitivity import Solved
 from plough_opt.design.search.explore import silent
-from plough_opt.design.search.landscape import FINER, VIOLATION, Landscape, evaluated_sample
+from plough_opt.design.search.landscape import FINER, Landscape, Violation, evaluated_sample
 from plough_opt.design.solving import Known, Request, solve_program
 
 Over = Literal["mean", "worst"]
@@ -40,20 +40,17 @@ WORST = "worst objective\n"
 _BELOW_WORST: Final = "one of the worst designs within the tolerances\n"
 
 
-class _CuttingSets(NamedTuple):
+class _Cuts:
     """Bounds of the worst objective, and which positions join the program."""
 
-    sample: int = 256  # designs whose boxes are sampled to find bounds
-    promising: int = 8  # the best of them, whose worst positions make the first program
+    sample: Final = 256  # designs whose boxes are sampled to find bounds
+    promising: Final = 8  # the best of them, whose worst positions make the first program
     # The lower bound lies below the lowest sampled objective by this many times the sampled range. Bounds that prove
     # too narrow are extended by as much.
-    below: float = 2.0
-    at_bound: float = 1e-6  # An optimum within this fraction of the range from the lower bound calls for a lower one.
+    below: Final = 2.0
+    at_bound: Final = 1e-6  # An optimum within this fraction of the range from the lower bound calls for a lower one.
     # A position joins if its scaled objective or violation is worse than the program's own by more than this.
-    worse: float = 1e-10
-
-
-_CUTS = _CuttingSets()
+    worse: Final = 1e-10
 
 
 class ToleranceBoxSolver:
@@ -90,7 +87,7 @@ class ToleranceBoxSolver:
                 if above and not raised:
                     # The optimum is higher than the sample suggested.
                     reach = max(bounds[1] - bounds[0], conflicts[_BELOW_WORST])
-                    bounds, raised = (bounds[0], bounds[1] + _CUTS.below * reach), True
+                    bounds, raised = (bounds[0], bounds[1] + _Cuts.below * reach), True
                 elif chosen != self._every:
                     # Reasons are given for all positions.
                     chosen, request = self._every, asked
@@ -103,9 +100,9 @@ class ToleranceBoxSolver:
                 else:
                     raise
                 continue
-            if best.objective <= bounds[0] + _CUTS.at_bound * (bounds[1] - bounds[0]):
+            if best.objective <= bounds[0] + _Cuts.at_bound * (bounds[1] - bounds[0]):
                 # The optimum is lower than the sample suggested: extend the range downwards and solve again.
-                bounds = bounds[0] - _CUTS.below * (bounds[1] - bounds[0]), bounds[1]
+                bounds = bounds[0] - _Cuts.below * (bounds[1] - bounds[0]), bounds[1]
             elif chosen == self._every:
                 return best
             elif best.status != "solved":
@@ -126,8 +123,8 @@ class ToleranceBoxSolver:
         """
         if not landscape.vectorised:
             return self._every
-        sampled = evaluated_sample(landscape, _CUTS.sample)
-        best = np.argsort(sampled.merit, kind="stable")[: _CUTS.promising]
+        sampled = evaluated_sample(landscape, _Cuts.sample)
+        best = np.argsort(sampled.merit, kind="stable")[: _Cuts.promising]
         points = np.vstack([landscape.program.start()[None], sampled.points[best]])
         f, violation = self._rows(landscape, points)
         return tuple(sorted({*np.argmax(f, axis=1).tolist(), *np.argmax(violation, axis=1).ravel().tolist()}))
@@ -168,7 +165,7 @@ class ToleranceBoxSolver:
         f, violation = self._rows(landscape, points)
         values = np.concatenate([f[:, :, None], violation], axis=2)
         worst, own = np.max(values, axis=1), np.max(values[:, chosen], axis=1)
-        missing = set(np.argmax(values, axis=1)[worst > own + _CUTS.worse].tolist())
+        missing = set(np.argmax(values, axis=1)[worst > own + _Cuts.worse].tolist())
         if not missing:
             made = boxes(variables, points[:1], self._unit)
             missing = {k for k in {*self._every} - {*chosen} if landscape.program.refuses(made[k], landscape.p)}
@@ -252,11 +249,11 @@ def bounds_on_worst(made: Landscape) -> tuple[float, float]:
         made: landscape of the bare design, in which no variable is solved for.
     """
     landscape = Landscape(made.program, made.p)
-    sampled = evaluated_sample(landscape, _CUTS.sample if landscape.vectorised else BOX.fewest)
+    sampled = evaluated_sample(landscape, _Cuts.sample if landscape.vectorised else BOX.fewest)
     valid = np.flatnonzero(np.isfinite(sampled.f))
     inside = made(boxes(made.program.declared.variables, sampled.points[valid]))
     worst, violation = (part.reshape(-1, BOX.designs).max(axis=1) for part in (inside.f, inside.violation))
-    feasible = np.isfinite(worst) & (violation <= VIOLATION.allowed)
+    feasible = np.isfinite(worst) & (violation <= Violation.allowed)
     if np.any(feasible):
         high = float(worst[feasible].min())
     else:
@@ -264,4 +261,4 @@ def bounds_on_worst(made: Landscape) -> tuple[float, float]:
     low = float(np.min(sampled.f[valid], initial=high))
     # The range must not be empty, even for a constant objective.
     reach = max(high - low, abs(high), 1e-6)
-    return (low - _CUTS.below * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale
+    return (low - _Cuts.below * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -34,17 +34,15 @@ from plough_opt.design.search.local import AS_FOUND, descend, point_as_found, po
 from plough_opt.design.search.near import feasible_from, near_optimum
 
 
-class _Optima(NamedTuple):
+class _Optima:
     """Which basins IPOPT optimises, and which of the optima count."""
 
-    most_of_few: int = 8  # basins for each round of the search, with few variables
-    most_of_many: int = 3  # with more
+    most_of_few: Final = 8  # basins for each round of the search, with few variables
+    most_of_many: Final = 3  # with more
     # The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
-    least_scale: float = 1e-4
-    same: float = 1e-4  # Optima count as the same if no scaled variable differs by this much.
+    least_scale: Final = 1e-4
+    same: Final = 1e-4  # Optima count as the same if no scaled variable differs by this much.
 
-
-_OPTIMA = _Optima()
 
 _LEFT_OUT = (
     "the search left out {}: there may be a better design; search='thorough', a number of designs or a time such as"
@@ -166,7 +164,7 @@ class _Solve:
                 f" {program.declared.ranges()}: tighten the bounds, or shorten the duration",
                 "no value",
             )
-        size = len(vary), effort.rounds, _OPTIMA.least_scale * float(np.nanmedian(np.abs(explored.sample.f)))
+        size = len(vary), effort.rounds, _Optima.least_scale * float(np.nanmedian(np.abs(explored.sample.f)))
         minima, points = explored.minima, []
         if np.any(minima.feasible) or not required:
             points = self._optima(minima, *size)
@@ -189,7 +187,7 @@ class _Solve:
     def _from_known(self, known: Vector) -> list[Point]:
         """Return the local optima near designs that are known to be nearly optimal."""
         minima = self._landscape(known)
-        points = self._optima(minima, 0, len(known), _OPTIMA.least_scale * float(np.nanmedian(np.abs(minima.f))))
+        points = self._optima(minima, 0, len(known), _Optima.least_scale * float(np.nanmedian(np.abs(minima.f))))
         if not points:
             raise NotConverged("no optimum lies near the designs that are known to be nearly optimal", "no optimum")
         return points
@@ -214,7 +212,7 @@ class _Solve:
                 break
             self._progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
             point = polished(program, p, minima.points[k], self._request.limit)
-            if point.solved and not any(np.max(np.abs(point.y - other.y)) < _OPTIMA.same for other in points):
+            if point.solved and not any(np.max(np.abs(point.y - other.y)) < _Optima.same for other in points):
                 points.append(point)
         return points
 
@@ -252,9 +250,9 @@ def _basins_that_can_win(criterion: Vector, few_variables: bool, rounds: int) ->
     """Return the numbers of the basins to optimise, best first."""
     order = np.argsort(criterion, kind="stable")
     if few_variables:
-        return [int(k) for k in order[: _OPTIMA.most_of_few * rounds]]
+        return [int(k) for k in order[: _Optima.most_of_few * rounds]]
     limit = criterion[order[0]] + CAN_WIN * abs(criterion[order[0]])
-    return [int(k) for k in order if criterion[k] <= limit][: _OPTIMA.most_of_many * rounds]
+    return [int(k) for k in order if criterion[k] <= limit][: _Optima.most_of_many * rounds]
 
 
 def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:

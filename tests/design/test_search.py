@@ -214,8 +214,7 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1, s
     monkeypatch.setattr(program, "build_nlp", build_nlp)
     # Quadratic programs find the optimum. Without time to solve it again, it is evaluated by the finer steps.
     monkeypatch.setitem(ipopt.FROM_BOTTOM, "ipopt.max_cpu_time", seconds)
-    coarse = tight_integration.STEPS._replace(phase_per_step=2.5)
-    monkeypatch.setattr(tight_integration, "STEPS", coarse)
+    monkeypatch.setattr(tight_integration.Steps, "phase_per_step", 2.5)
     # The tolerance on derivatives is loose, because they would demand more steps at the start already.
     best = build_r1(accuracy=po.Accuracy(derivatives=0.1)).design.solve()
     steps = [call.args[3][0] for call in build_nlp.call_args_list]
@@ -232,10 +231,9 @@ LIMITS = [{"refinements": 0}, {"steps": 60}, {"steps": 24}]
 
 @pytest.mark.parametrize("limit", LIMITS)
 def test_steps_that_stay_too_coarse_are_reported(monkeypatch, build_r1, limit):
-    coarse = tight_integration.STEPS._replace(phase_per_step=40.0, most=limit.get("steps", 50_000))
-    monkeypatch.setattr(tight_integration, "STEPS", coarse)
-    few = confirmation._REFINEMENTS._replace(most=limit.get("refinements", 4))
-    monkeypatch.setattr(confirmation, "_REFINEMENTS", few)
+    monkeypatch.setattr(tight_integration.Steps, "phase_per_step", 40.0)
+    monkeypatch.setattr(tight_integration.Steps, "most", limit.get("steps", 50_000))
+    monkeypatch.setattr(confirmation._Refinements, "most", limit.get("refinements", 4))
     best = build_r1().design.solve(search="local")
     assert not best.gap <= 1e-8
     assert any("was not reached" in warning for warning in best.warnings)

@@ -6,7 +6,7 @@ Hessian of the Lagrangian f + lam_g' g curves upwards along every direction that
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,24 +14,21 @@ from numpy.typing import NDArray
 from plough_opt.design.model.ipopt import Point, Vector
 
 
-class Zero(NamedTuple):
+class Zero:
     """Sizes below which a part of the optimality conditions of a scaled design counts as zero."""
 
-    multiplier: float = 1e-7
-    margin: float = 1e-7  # of a limit, which then is active
+    multiplier: Final = 1e-7
+    margin: Final = 1e-7  # of a limit, which then is active
     # Of the curvature along a direction, as a part of the largest: the optimum may then have no derivative.
-    curvature: float = 1e-7
-    distance: float = 1e-9  # between a variable and its bound; closer, it counts as on it
+    curvature: Final = 1e-7
+    distance: Final = 1e-9  # between a variable and its bound; closer, it counts as on it
     # Of a singular value, relative to the largest or of rows of length 1, which then are linearly dependent.
-    rank: float = 1e-9
-
-
-ZERO = Zero()
+    rank: Final = 1e-9
 
 
 def decides(margin: Any, pull: Any) -> Any:
     """Return whether a limit is active, from its scaled margin and multiplier: at an optimum one of them vanishes."""
-    return (pull > ZERO.multiplier) & (pull > margin)
+    return (pull > Zero.multiplier) & (pull > margin)
 
 
 def lowest_dips(margins: Vector, most: int) -> NDArray[np.intp]:
@@ -50,7 +47,7 @@ def free_directions(rows: Vector) -> Vector:
     if not len(rows):
         return np.eye(rows.shape[1])
     _, sizes, right = np.linalg.svd(rows)
-    return np.asarray(right[int(np.sum(sizes > ZERO.rank * max(1.0, sizes[0]))) :].T)
+    return np.asarray(right[int(np.sum(sizes > Zero.rank * max(1.0, sizes[0]))) :].T)
 
 
 def independent(rows: Vector, least: float) -> bool:
@@ -99,7 +96,7 @@ def newton_step(
 
 def without_rounding(y: Vector, lam_y: Vector) -> Vector:
     """Return the multipliers of bounds, set to 0 for variables that lie on neither bound."""
-    return np.where((y > ZERO.distance) & (y < 1.0 - ZERO.distance), 0.0, lam_y)
+    return np.where((y > Zero.distance) & (y < 1.0 - Zero.distance), 0.0, lam_y)
 
 
 def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vector, Vector]) -> float:
@@ -124,26 +121,23 @@ def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vect
     return float(max(np.max(np.abs(slope)), products) / max(1.0, np.max(np.abs(multipliers))) + violation)
 
 
-class _QuadraticProgram(NamedTuple):
+class _Quadratic:
     """Bounds of a quadratic program: of its curvatures, and of what it takes for contradictory limits."""
 
     # Smaller curvatures are raised to this, or to this part of the largest if that is below 1, so that the program is
     # strictly convex.
-    least_curvature: float = 1e-4
+    least_curvature: Final = 1e-4
     # Of the slacks: far below the weight of a violation, so that hardly any slack is left where none is needed.
-    slack_curvature: float = 1e-2
+    slack_curvature: Final = 1e-2
     # Distance left by the least-distance problem below which the limits contradict each other.
-    infeasible: float = 1e-13
-
-
-_QUADRATIC = _QuadraticProgram()
+    infeasible: Final = 1e-13
 
 
 def made_convex(hessian: Vector) -> Vector:
     """Return a Hessian with every eigenvalue replaced by its absolute value, or a least curvature if that is larger."""
     sizes, directions = np.linalg.eigh(hessian)
     sizes = np.abs(sizes)
-    least = max(_QUADRATIC.least_curvature * min(1.0, float(np.max(sizes))), np.finfo(float).eps)
+    least = max(_Quadratic.least_curvature * min(1.0, float(np.max(sizes))), np.finfo(float).eps)
     return np.asarray((directions * np.maximum(sizes, least)) @ directions.T)
 
 
@@ -218,7 +212,7 @@ def quadratic_program(
     target = np.zeros(len(system))
     target[-1] = 1.0
     weights, distance = nnls(system, target)
-    if distance < _QUADRATIC.infeasible:
+    if distance < _Quadratic.infeasible:
         return None
     # Positive weights mark the active limits; with these the step follows to rounding.
     active = np.flatnonzero(weights)
@@ -282,7 +276,7 @@ def relaxed_step(
     """
     (g, gradient, jacobian), n, count = at, len(y), int(np.max(owner, initial=-1)) + 1
     gives, unlimited = np.eye(count)[owner], np.full(len(g), np.inf)
-    whole = np.diag(np.full(n + count, _QUADRATIC.slack_curvature))
+    whole = np.diag(np.full(n + count, _Quadratic.slack_curvature))
     whole[:n, :n] = curvature
     found = optimum_step(
         whole,

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Final, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -77,16 +77,15 @@ class BuiltProgram:
         return Solver(nlp, self.program.low, self.program.high, self.program.ipopt)
 
 
-class _Scaling(NamedTuple):
+class _Scaling:
     """Bounds of the scales, and of the sample whose medians set them if the guess has no value."""
 
-    smallest: float = 1e-12  # size that an objective or a requirement is taken to have at least
+    smallest: Final = 1e-12  # size that an objective or a requirement is taken to have at least
     # Sizes of the sample; the larger one is tried if no design of the smaller one has a value.
-    samples: tuple[int, ...] = (256, 4096)
-    seed: int = 256
+    samples: Final = (256, 4096)
+    seed: Final = 256
 
 
-_SCALING = _Scaling()
 # Built programs that are cached, for different numbers of steps or scales.
 _MOST_PROGRAMS = 6
 
@@ -375,8 +374,8 @@ class Program:
             p: parameters.
             error: the reason why the guess has no value, raised if the sample has none either.
         """
-        for count in _SCALING.samples:
-            points = np.random.default_rng(_SCALING.seed).random((count, len(self.declared.variables)))
+        for count in _Scaling.samples:
+            points = np.random.default_rng(_Scaling.seed).random((count, len(self.declared.variables)))
             f, g = self.population(points, p)
             sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)
             if np.any(sound):
@@ -468,7 +467,7 @@ def cached(cache: dict[Hashable, Cached], key: Hashable, make: Callable[[], Cach
 
 def _power_of_four(value: float) -> float:
     """Return the power of four nearest to a value's size, so that slightly different questions are scaled alike."""
-    return float(4.0 ** round(math.log(max(abs(value), _SCALING.smallest), 4.0)))
+    return float(4.0 ** round(math.log(max(abs(value), _Scaling.smallest), 4.0)))
 
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -334,20 +334,17 @@ def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> N
             raise DomainError(f"{clause}: {error}") from None
 
 
-class Steps(NamedTuple):
+class Steps:
     """Bounds of the numbers of integration steps, and the number of harmonics that replaces it for orbits."""
 
     # With the rate by `Rates.summed` [rad]. It leaves a relative error of about 3e-9 in averages; the check at the
     # optimum demands finer steps if that is not enough.
-    phase_per_step: float = 1.15
-    most: int = 50_000
-    fewest_if_rough: int = 20  # of a run that only has to show the sign of a curvature
-    harmonics: int = 12  # of a periodic orbit, whose amplitudes decay exponentially
-    exponent: float = 0.125  # An error e times too large takes e to this power times as many: the method has order 8.
-    most_factor: float = 3.0  # of one refinement
-
-
-STEPS = Steps()
+    phase_per_step: Final = 1.15
+    most: Final = 50_000
+    fewest_if_rough: Final = 20  # of a run that only has to show the sign of a curvature
+    harmonics: Final = 12  # of a periodic orbit, whose amplitudes decay exponentially
+    exponent: Final = 0.125  # An error e times too large takes e to this power times as many: the method has order 8.
+    most_factor: Final = 3.0  # of one refinement
 
 
 def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinement: float) -> list[int | None]:
@@ -369,15 +366,15 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
             steps.append(None)
             continue
         if _holds_orbit(exact, k):
-            steps.append(min(math.ceil(STEPS.harmonics * refinement), MOST_HARMONICS))
+            steps.append(min(math.ceil(Steps.harmonics * refinement), MOST_HARMONICS))
             continue
         fastest = 0.0
         for numbers in designs:
             given, _ = exact.given(k, numbers)
             rate = rates(dict(zip(run.integration.names, given, strict=False))).summed
             fastest = max(fastest, rate * float(given[-1]))
-        count = math.ceil(refinement * steps_for(fastest, STEPS.phase_per_step))
-        if count > STEPS.most:
+        count = math.ceil(refinement * steps_for(fastest, Steps.phase_per_step))
+        if count > Steps.most:
             raise DomainError(
                 f"between the bounds the share oscillates up to {fastest / (2 * math.pi):.3g} times in a run,"
                 f" which would take {count} integration steps: tighten the bounds on stiffness and mass,"
@@ -391,14 +388,14 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
 def rough_steps(exact: TightEvaluation, steps: Sequence[int | None]) -> list[int | None]:
     """Return the numbers of steps for rough runs: two fifths, but for orbits the same number of harmonics."""
     return [
-        own if own is None or _holds_orbit(exact, k) else max(STEPS.fewest_if_rough, 2 * own // 5)
+        own if own is None or _holds_orbit(exact, k) else max(Steps.fewest_if_rough, 2 * own // 5)
         for k, own in enumerate(steps)
     ]
 
 
 def steps_factor(excess: float) -> float:
     """Return the factor on the number of steps that reduces an error by the factor ``excess``, with a margin."""
-    return min(STEPS.most_factor, 1.1 * excess**STEPS.exponent) if excess < math.inf else STEPS.most_factor
+    return min(Steps.most_factor, 1.1 * excess**Steps.exponent) if excess < math.inf else Steps.most_factor
 
 
 def _holds_orbit(exact: TightEvaluation, run: int) -> bool:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -39,46 +39,40 @@ from plough_opt.design.search.local import AS_FOUND, descend, least_violation, p
 from plough_opt.design.search.near import failures, from_least_violation
 
 
-class _FreeSample(NamedTuple):
+class _Free:
     """Extent of the first sample of the free variables."""
 
-    designs: int = 2**16  # of all combinations together
-    fewest_each: int = 2
-    most_each: int = 128
+    designs: Final = 2**16  # of all combinations together
+    fewest_each: Final = 2
+    most_each: Final = 128
     # Weight of a violation in the second ranking, which keeps slightly infeasible combinations in the competition.
-    low_penalty: float = 1.0
+    low_penalty: Final = 1.0
 
 
-class _ShrinkingBoxes(NamedTuple):
+class _Shrinking:
     """Boxes around the best designs of the lowest combinations."""
 
-    combinations: int = 256  # in the first round; their number is halved from round to round
-    designs: int = 16  # in a box
-    radii: tuple[float, ...] = (0.25, 0.12, 0.06, 0.03, 0.015)  # half widths by round, as fractions of the range
+    combinations: Final = 256  # in the first round; their number is halved from round to round
+    designs: Final = 16  # in a box
+    radii: Final = (0.25, 0.12, 0.06, 0.03, 0.015)  # half widths by round, as fractions of the range
 
 
-class _Descents(NamedTuple):
+class _Descents:
     """Number of descents from the lowest combinations."""
 
-    combinations: int = 30
-    together: int = 60  # of all combinations
-    most_each: int = 8
+    combinations: Final = 30
+    together: Final = 60  # of all combinations
+    most_each: Final = 8
 
 
-class _Evolution(NamedTuple):
+class _Evolution:
     """Extent of the evolution of the combinations that can still win, and of the looks around its ends."""
 
-    combinations: int = 8  # at most
-    designs_per_variable: int = 12
-    generations: int = 50
-    converged: float = 1e-6  # It ends when the merits scatter by less than this fraction.
-    looks: int = 4  # along the lines through the lowest design
-
-
-_FREE = _FreeSample()
-_SHRINKING = _ShrinkingBoxes()
-_DESCENTS = _Descents()
-_EVOLUTION = _Evolution()
+    combinations: Final = 8  # at most
+    designs_per_variable: Final = 12
+    generations: Final = 50
+    converged: Final = 1e-6  # It ends when the merits scatter by less than this fraction.
+    looks: Final = 4  # along the lines through the lowest design
 
 
 class _Screen:
@@ -114,10 +108,10 @@ class _Screen:
         every = np.arange(len(self._combinations))
         at_optimum = self._landscape(self._designs(every, self._optimum[self._free]))
         if not self._free:
-            best = _lowest(at_optimum, _DESCENTS.combinations, kept)
+            best = _lowest(at_optimum, _Descents.combinations, kept)
             return _in_order({k: at_optimum.select([k]) for k in best.tolist()})
         samples = self._sampled(at_optimum, kept)
-        descents = max(2, min(_DESCENTS.most_each, _DESCENTS.together // len(samples)))
+        descents = max(2, min(_Descents.most_each, _Descents.together // len(samples)))
         found: dict[int, Evaluations] = {}
         for number, own in samples.items():
             late = found and limit.passed("descents in some combinations")
@@ -126,7 +120,7 @@ class _Screen:
         # With several free variables a sample may miss the best basin of a combination that can win.
         lowest = _rank(found[order[0]])
         highest = lowest + CAN_WIN * abs(lowest)
-        for number in order[: _EVOLUTION.combinations] if len(self._free) > 1 else ():
+        for number in order[: _Evolution.combinations] if len(self._free) > 1 else ():
             if _rank(found[number]) > highest or limit.passed("evolution of some combinations"):
                 break
             found[number] = self._evolved(found[number], samples[number])
@@ -145,16 +139,16 @@ class _Screen:
         """
         count, n = len(self._combinations), len(self._free)
         numbers = np.arange(count)
-        each = int(np.clip(_FREE.designs // count, _FREE.fewest_each, _FREE.most_each))
+        each = int(np.clip(_Free.designs // count, _Free.fewest_each, _Free.most_each))
         points = sobol_points(n, count * each, self._rng)
         # Consecutive points of the sequence fill the space evenly, so each combination takes a block of them.
         sample = self._landscape(self._designs(np.repeat(numbers, each), points))
         best = _best_of_each(at_optimum, sample, each)
-        numbers = _lowest(best, _SHRINKING.combinations, kept)
+        numbers = _lowest(best, _Shrinking.combinations, kept)
         best = best.select(numbers)
-        for k, radius in enumerate(_SHRINKING.radii):
+        for k, radius in enumerate(_Shrinking.radii):
             best = self._zoomed(numbers, best, radius)
-            remaining = max(_DESCENTS.combinations, _SHRINKING.combinations >> (k + 1))
+            remaining = max(_Descents.combinations, _Shrinking.combinations >> (k + 1))
             left = _lowest(best, remaining, np.flatnonzero(np.isin(numbers, kept)).tolist())
             numbers, best = numbers[left], best.select(left)
         return {
@@ -164,7 +158,7 @@ class _Screen:
 
     def _zoomed(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
         """Return the lowest design of each combination after sampling a box around its lowest so far."""
-        each = _SHRINKING.designs
+        each = _Shrinking.designs
         offsets = self._rng.uniform(-radius, radius, (len(numbers) * each, len(self._free)))
         points = np.clip(np.repeat(best.points[:, self._free], each, axis=0) + offsets, 0.0, 1.0)
         return _best_of_each(best, self._landscape(self._designs(np.repeat(numbers, each), points)), each)
@@ -173,7 +167,7 @@ class _Screen:
         """Return the best end of descents from a combination's lowest designs, with the combination's values held."""
         # The designs at the optimum and the best one found; then the local minima of the sample.
         starts = [0, 1]
-        if len(designs.f) > 4 * _SHRINKING.designs:
+        if len(designs.f) > 4 * _Shrinking.designs:
             lowest, _ = local_minima(designs.points[:, self._free], designs.merit)
             starts += [int(k) for k in lowest if k > 1]
         # A design that cannot be evaluated has no slope to follow.
@@ -187,14 +181,14 @@ class _Screen:
         Without it two of the random catalogue problems miss the basin of their best combination.
         """
         n = len(self._free)
-        size = _EVOLUTION.designs_per_variable * n
+        size = _Evolution.designs_per_variable * n
         lowest = np.argsort(designs.merit, kind="stable")[:size]
         start = np.vstack([known.points[:, self._free], designs.points[lowest][:, self._free]])
         if len(start) < size:
             start = np.vstack([start, self._rng.random((size - len(start), n))])
 
         whole = partial(with_variables, known.points[0], self._free)
-        most, alike = _EVOLUTION.generations, _EVOLUTION.converged
+        most, alike = _Evolution.generations, _Evolution.converged
         best = evolved(
             lambda x: self._landscape(whole(x)).merit, start, most, self._rng, from_best=n < MANY_VARIABLES, alike=alike
         )
@@ -205,7 +199,7 @@ class _Screen:
 
         One of the random catalogue problems needs it with some seeds.
         """
-        for _ in range(_EVOLUTION.looks):
+        for _ in range(_Evolution.looks):
             lines = lines_through(one.points[0], self._free)
             dips = dips_along(self._landscape(lines).merit)
             best = min([one, *(self._end(lines[k]) for k in dips)], key=_rank)
@@ -242,7 +236,7 @@ def _lowest(best: Evaluations, count: int, kept: list[int]) -> np.ndarray:
     if len(best.f) <= count:
         return np.arange(len(best.f))
     with np.errstate(invalid="ignore"):
-        low_penalty = np.where(np.isfinite(best.f), best.f + _FREE.low_penalty * best.violation, np.inf)
+        low_penalty = np.where(np.isfinite(best.f), best.f + _Free.low_penalty * best.violation, np.inf)
     strict, loose = (np.argsort(value, kind="stable").tolist() for value in (best.merit, low_penalty))
     half = count // 2
     chosen = list(dict.fromkeys([*kept, *strict[:half], *loose[: count - half]]))
@@ -264,17 +258,14 @@ Catalogue = float | str | Sequence[float | str]
 """The values that a variable may take, or a step whose multiples it may take: numbers in SI, or texts with units."""
 
 
-class _Values(NamedTuple):
+class _Values:
     """Which catalogue values are the optimum's or a bound's, and which multiples of a step exist."""
 
     # A value within this fraction of the range from the optimum is taken for it: the optimiser stops this far from a
     # bound.
-    same: float = 1e-6
-    beyond_bound: float = 1e-12  # A value beyond a bound by this fraction of the range counts as the bound.
-    most_multiples: float = 1e15  # Floating point cannot distinguish larger multiples of a step.
-
-
-_VALUES = _Values()
+    same: Final = 1e-6
+    beyond_bound: Final = 1e-12  # A value beyond a bound by this fraction of the range counts as the bound.
+    most_multiples: Final = 1e15  # Floating point cannot distinguish larger multiples of a step.
 
 
 @dataclass(frozen=True)
@@ -305,7 +296,7 @@ class Allowed:
             near = self.offered[max(0, min(int(below), len(self.offered) - 1)) :][:5]
         values = self._in_unit(near)
         nearest_value = min(values, key=lambda x: abs(x - optimum))
-        if abs(nearest_value - optimum) <= _VALUES.same * (v.upper - v.lower):
+        if abs(nearest_value - optimum) <= _Values.same * (v.upper - v.lower):
             return [nearest_value]
         lower, higher = [x for x in values if x < optimum], [x for x in values if x > optimum]
         return [*lower[-1:], *higher[:1]]
@@ -355,10 +346,10 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     if isinstance(catalogue, list | tuple):
         catalogue = [in_si(what, value, v.unit) for value in catalogue]
     values = array_of(catalogue, wrong, lambda array: array.size and np.all(np.isfinite(array))).ravel()
-    reserve = _VALUES.beyond_bound * (v.upper - v.lower)
+    reserve = _Values.beyond_bound * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
         step = plain_number(f"the step of '{v.name}'", values[0], v.unit, above=0.0)
-        if max(abs(v.lower), abs(v.upper)) / _VALUES.most_multiples > step:
+        if max(abs(v.lower), abs(v.upper)) / _Values.most_multiples > step:
             raise InputError(f"the step {step:g} of '{v.name}' is too small for its bounds: use a larger one")
         first, last = math.ceil((v.lower - reserve) / step), math.floor((v.upper + reserve) / step)
         found = Allowed(number, v, range(first, last + 1), step)
@@ -373,18 +364,17 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     return found
 
 
-class _Combinations(NamedTuple):
+class _Most:
     """Most combinations that are screened, optimised and named."""
 
-    screened: int = 100_000  # This many take some seconds; from here on, only the optimum's neighbours are tried.
+    screened: Final = 100_000  # This many take some seconds; from here on, only the optimum's neighbours are tried.
     # The same for the runs of their designs, of which a design over its tolerances has some seventy.
-    runs_screened: int = 2_000_000
-    optimised: int = 20
-    neighbours: int = 4096  # that are accepted
-    named: int = 5  # of those that fail, in an error message
+    runs_screened: Final = 2_000_000
+    optimised: Final = 20
+    neighbours: Final = 4096  # that are accepted
+    named: Final = 5  # of those that fail, in an error message
 
 
-_MOST = _Combinations()
 # An optimised design may lie above its start by this fraction of the objective: the error of a search's rough runs.
 _NOT_WORSE_THAN_ROUGH = 1e-5
 
@@ -405,7 +395,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     fixed = [own.number for own in offered]
     landscape = Landscape(solved.program, p, fixed)
     count = math.prod(len(own.offered) for own in offered)
-    few = count < _MOST.screened and count * solved.program.population.runs < _MOST.runs_screened
+    few = count < _Most.screened and count * solved.program.population.runs < _Most.runs_screened
     every = landscape.vectorised and few
     limit = TimeLimit("auto")
     starts = _starts(landscape, solved, offered, seed, limit if every else None)
@@ -470,16 +460,16 @@ def _starts(
     """
     neighbours = [own.neighbours(float(solved.values[own.number])) for own in offered]
     near = math.prod(map(len, neighbours))
-    if limit is None and near > _MOST.neighbours:
+    if limit is None and near > _Most.neighbours:
         raise InputError(f"{len(neighbours)} variables have too many combinations of neighbours: round fewer at a time")
     combinations = list(itertools.product(*([own.values() for own in offered] if limit else neighbours)))
     scaled = [[own.variable.scaled(x) for own, x in zip(offered, values, strict=True)] for values in combinations]
     fixed = [own.number for own in offered]
     if limit:
-        always = set(itertools.product(*neighbours)) if near <= _MOST.optimised else set()
+        always = set(itertools.product(*neighbours)) if near <= _Most.optimised else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
         screen = _Screen(landscape, solved.point.y, fixed, np.array(scaled), seed)
-        found = [*screen.promising(kept, limit).items()][: _MOST.optimised]
+        found = [*screen.promising(kept, limit).items()][: _Most.optimised]
         return [(start, combinations[number]) for number, start in found]
     return list(zip(with_variables(solved.point.y, fixed, scaled), combinations, strict=True))
 
@@ -511,7 +501,7 @@ def _none_feasible(program: Program, tried: Sequence[Choice], screened: int) -> 
     units = {v.name: v.unit for v in program.declared.variables}
     texts = [
         f"{values_in_words(choice.values, units)}: {failures(program, choice.conflicts) or 'not solved'}"
-        for choice in least[: _MOST.named]
+        for choice in least[: _Most.named]
     ]
     none = f"none of {screened} combinations of values meets" if screened > 1 else "the only combination does not meet"
     rest = f"; and {len(tried) - len(texts)} more that were optimised" if len(tried) > len(texts) else ""

@@ -1,7 +1,7 @@
 """Reports on local optima: their limits, names and warnings."""
 
 from collections.abc import Collection, Iterator, Sequence
-from typing import NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -19,15 +19,12 @@ from plough_opt.motion.simulation import repeat
 from plough_opt.motion.solvers.checks import remarks as remarks_on_run
 
 
-class _Named(NamedTuple):
+class _Named:
     """Which limits and mounts a report names."""
 
-    nearly_met: float = 0.05  # A limit of a law, unless it decides, if its margin is within this part of its scale.
-    same_mount: float = 0.02  # Mounts whose frequencies differ by less than this fraction share one name.
-    most_mounts: int = 4  # Of more mounts only the first.
-
-
-_NAMED = _Named()
+    nearly_met: Final = 0.05  # A limit of a law, unless it decides, if its margin is within this part of its scale.
+    same_mount: Final = 0.02  # Mounts whose frequencies differ by less than this fraction share one name.
+    most_mounts: Final = 4  # Of more mounts only the first.
 
 
 def remarks(sampled: Vector, point: Point, best: LocalOptimum, options: Collection[str]) -> Iterator[str]:
@@ -101,7 +98,7 @@ def requirements_at(program: Program, point: Point, found: Sequence[Vector]) -> 
         margin, multiplier = float(margins[worst]), float(np.sum(own) * program.objective_scale / scale)
         active = decides(margin / scale, float(np.max(own)))
         at = (float(numbers[worst]), r.limits_text(), margin, multiplier, active)
-        trivial = k >= len(program.own_requirements) and not active and margin > _NAMED.nearly_met * scale
+        trivial = k >= len(program.own_requirements) and not active and margin > _Named.nearly_met * scale
         limits.append(Limit(r.name, "requirement", *at, r.unit, r.shown, r.at_least, r.at_most, trivial))
     return limits
 
@@ -164,6 +161,6 @@ def _mounts(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[list[tu
             continue
         ratios = [float(own[k].natural_frequency / own[k].wave_frequency) for own in scenes]
         mount = [(str(own[k].branch), ratio) for own, ratio in zip(scenes, ratios, strict=True)]
-        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_NAMED.same_mount) for other in found):
+        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_Named.same_mount) for other in found):
             found.append(mount)
-    return found if len(found) <= _NAMED.most_mounts else found[:1]
+    return found if len(found) <= _Named.most_mounts else found[:1]

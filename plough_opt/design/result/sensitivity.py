@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -20,7 +20,7 @@ from plough_opt.core.units import in_words
 from plough_opt.design.declarations import EVERYWHERE
 from plough_opt.design.model.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.model.optimality import (
-    ZERO,
+    Zero,
     decides,
     free_directions,
     independent,
@@ -35,18 +35,15 @@ NO_PERCENTAGE = 1e-9
 """A smaller percentage is rounding, and shown as 0."""
 
 
-class _Derivatives(NamedTuple):
+class _Derivatives:
     """What of an optimum's derivatives is rounding, and by how much a check changes a value."""
 
-    same: float = 1e-9  # One-sided derivatives with a smaller relative difference count as equal.
+    same: Final = 1e-9  # One-sided derivatives with a smaller relative difference count as equal.
     # Results below this part of their size, the optimiser's tolerance, count as 0: they have no elasticity.
-    no_result: float = 1e-10
+    no_result: Final = 1e-10
     # Relative change of the value for which a check solves again: the differences have errors of its square, and of
     # the optimiser's 1e-10 divided by it.
-    check_step: float = 2e-4
-
-
-_DERIVATIVES = _Derivatives()
+    check_step: Final = 2e-4
 
 
 @dataclass(frozen=True)
@@ -206,7 +203,7 @@ class Solved:
         sizes, values = named(slopes), named(self._unscaled(self._active.y))
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
-        differs = bool(np.max(np.abs(up.y - down.y)) > _DERIVATIVES.same * np.max(np.abs([up.y, down.y])))
+        differs = bool(np.max(np.abs(up.y - down.y)) > _Derivatives.same * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
             value=target.value,
@@ -286,7 +283,7 @@ class Solved:
         scales = np.r_[max(abs(here[0]), self.program.objective_scale), ranges]
         errors, steps = [], []
         for move, sign in ((up, 1.0), (down, -1.0)):
-            step = min(_DERIVATIVES.check_step * size, 0.5 * move.until)
+            step = min(_Derivatives.check_step * size, 0.5 * move.until)
             expected = np.r_[objective, move.y * self._slopes]
             slope = (self._solved_at(target, sign * step) - here) / (sign * step)
             errors.append((slope - expected) * size / scales)
@@ -294,7 +291,7 @@ class Solved:
         (rising, falling), (up_step, down_step) = errors, steps
         # If the same limits decide on both sides, the mean is free of the curvature.
         mean = (rising * down_step + falling * up_step) / (up_step + down_step)
-        same = np.allclose(up.y, down.y, rtol=_DERIVATIVES.same, atol=0.0)
+        same = np.allclose(up.y, down.y, rtol=_Derivatives.same, atol=0.0)
         return float(np.max(np.abs(mean if same else np.r_[rising, falling])))
 
     def _solved_at(self, target: _Target, step: float) -> Vector:
@@ -327,36 +324,33 @@ class Solved:
 
 def _elasticity(derivative: float, value: float, result: float, size: float) -> float | None:
     """Return per cent of a result per per cent of a value; None if the result is 0 but for rounding of its size."""
-    return None if abs(result) <= _DERIVATIVES.no_result * size else derivative * value / result
+    return None if abs(result) <= _Derivatives.no_result * size else derivative * value / result
 
 
 Mask = NDArray[np.bool_]
 
 
-class _Newton(NamedTuple):
+class _Newton:
     """Bounds of Newton's method, which finds an optimum to rounding."""
 
     # It ends when no scaled variable moves by more than this: the conditions then hold to rounding.
-    converged: float = 1e-12
-    most_steps: int = 10
-    lost: float = 1e-3  # scaled distance from IPOPT's point beyond which it has left for another optimum
+    converged: Final = 1e-12
+    most_steps: Final = 10
+    lost: Final = 1e-3  # scaled distance from IPOPT's point beyond which it has left for another optimum
     # Where it fails and the curvature at IPOPT's point is below this, vanishing curvature is the reason.
-    slow_curvature: float = 1e-4
+    slow_curvature: Final = 1e-4
 
 
-class _Deciding(NamedTuple):
+class _Deciding:
     """Which sides of limits decide an optimum found to rounding, and which only touch it."""
 
-    zero: float = 1e-8  # Scaled margins and multipliers below this count as zero.
+    zero: Final = 1e-8  # Scaled margins and multipliers below this count as zero.
     # Scaled gradients below this count as zero: a side that no variable changes cannot be touched by a design.
-    no_gradient: float = 1e-12
-    weak_rate: float = 1e-9  # Rates of weakly active sides below this part of the largest rate count as zero.
-    no_rate: float = 1e-13  # Relative rates below this are rounding: the side never begins or ceases to decide.
-    most_weak: int = 8  # More weakly active sides have too many subsets to try.
+    no_gradient: Final = 1e-12
+    weak_rate: Final = 1e-9  # Rates of weakly active sides below this part of the largest rate count as zero.
+    no_rate: Final = 1e-13  # Relative rates below this are rounding: the side never begins or ceases to decide.
+    most_weak: Final = 8  # More weakly active sides have too many subsets to try.
 
-
-_NEWTON = _Newton()
-_DECIDING = _Deciding()
 
 _FLAT = (
     "the objective does not curve along some direction at this optimum: designs near it are as good to second order,"
@@ -454,9 +448,9 @@ class ActiveSet:
         self._equal = np.array([side.equality for side in self.sides], dtype=bool)
         self._signs, self._bounds, self._logs = np.array([(one.sign, one.bound, one.log) for one in self.sides]).T
         self._settle(point)
-        self.deciding = self._equal | (self.mu > _DECIDING.zero)
-        touching = np.abs(self.slack) <= _DECIDING.zero
-        touching &= np.any(np.abs(self.gradients[:, : self.n]) > _DECIDING.no_gradient, axis=1)
+        self.deciding = self._equal | (self.mu > _Deciding.zero)
+        touching = np.abs(self.slack) <= _Deciding.zero
+        touching &= np.any(np.abs(self.gradients[:, : self.n]) > _Deciding.no_gradient, axis=1)
         self.weak = np.flatnonzero(touching & ~self.deciding)
         self._refuse_degenerate()
 
@@ -468,19 +462,19 @@ class ActiveSet:
         mu = np.where(self._equal, pulls, np.maximum(0.0, pulls))
         self._evaluate(point.y, mu)
         active = self._equal | decides(self.slack, mu)
-        for _ in range(_NEWTON.most_steps):
+        for _ in range(_Newton.most_steps):
             mu = np.zeros(len(mu))
             step, mu[active] = self._newton_step(active, self.gradient[: self.n], self.slack[active])
             y = self.y + step
-            if not np.all(np.abs(y - point.y) < _NEWTON.lost):
+            if not np.all(np.abs(y - point.y) < _Newton.lost):
                 break
             self._evaluate(y, mu)
             # An active side that pushes outwards is released; a broken one becomes active.
-            wrong = ~self._equal & np.where(active, mu < -_DECIDING.zero, self.slack < -_DECIDING.zero)
-            if not np.any(wrong) and np.max(np.abs(step)) < _NEWTON.converged:
+            wrong = ~self._equal & np.where(active, mu < -_Deciding.zero, self.slack < -_Deciding.zero)
+            if not np.any(wrong) and np.max(np.abs(step)) < _Newton.converged:
                 return
             active = active ^ wrong
-        if not self._curved(self.gradients[active, : self.n], _NEWTON.slow_curvature):
+        if not self._curved(self.gradients[active, : self.n], _Newton.slow_curvature):
             raise InputError(_FLAT)
         raise NotConverged(
             "the limits that decide this optimum cannot be distinguished from those that it only touches", "unsettled"
@@ -554,11 +548,11 @@ class ActiveSet:
         rate = direction * np.where(active, mu_rate, opening)
         rate[self._equal] = 0.0
         size = max(size, float(np.max(np.abs(rate))))
-        if np.any(rate[self.weak] < -_DECIDING.weak_rate * size):
+        if np.any(rate[self.weak] < -_Deciding.weak_rate * size):
             return None
         rate[self.weak] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(rate < -_DECIDING.no_rate * size, stock / -rate, np.inf)
+            reach = np.where(rate < -_Deciding.no_rate * size, stock / -rate, np.inf)
         first = int(np.argmin(reach))  # A design has bounds, so it has sides.
         if not np.isfinite(reach[first]):
             return Move(dy, math.inf, "")
@@ -586,12 +580,12 @@ class ActiveSet:
 
     def _refuse_degenerate(self) -> None:
         a = self.gradients[self.deciding, : self.n]
-        if not independent(a, ZERO.rank):
+        if not independent(a, Zero.rank):
             raise InputError(
                 f"the limits that decide ({', '.join(self.names(self.deciding))}) are not independent: their"
                 " multipliers are not unique, so there are no derivatives; drop or loosen one of them"
             )
-        if len(self.weak) > _DECIDING.most_weak:
+        if len(self.weak) > _Deciding.most_weak:
             raise InputError(
                 f"too many limits just touch the optimum without deciding it: {', '.join(self.names(self.weak))};"
                 " loosen them"
@@ -599,7 +593,7 @@ class ActiveSet:
         if not self._curved(a):
             raise InputError(_FLAT)
 
-    def _curved(self, a: Vector, least: float = ZERO.curvature) -> bool:
+    def _curved(self, a: Vector, least: float = Zero.curvature) -> bool:
         """Return True if the Lagrangian curves upwards wherever sides with independent gradients ``a`` hold."""
         free = free_directions(a)
         # Dependent sides cannot all hold once one of their limits moves; least squares would move them apart.

@@ -8,7 +8,7 @@ import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -33,20 +33,19 @@ AUTO_SECONDS = 30.0
 """Processor time after which no further part of an automatic search begins [s]."""
 
 
-class _Extent(NamedTuple):
+class _Extent:
     """Bounds of the extent of a search."""
 
     # Sample size, a power of two, with one, two, ... variables; the last one with more of them, too.
-    designs: tuple[int, ...] = (512, 1024, 2048, 4096, 8192)
+    designs: Final = (512, 1024, 2048, 4096, 8192)
     # Islands likewise. With four or more variables, one in two to four evolutions misses the best basin.
-    islands: tuple[int, ...] = (0, 1, 2, 4, 4)
-    most_runs: int = 60_000  # in a round, for designs with many runs: they take some seconds
-    one_by_one: int = 256  # runs in a sample if they are integrated one by one, each for milliseconds
-    fewest_one_by_one: int = 32  # designs of such a sample
-    thorough: int = 4  # rounds of a thorough search
+    islands: Final = (0, 1, 2, 4, 4)
+    most_runs: Final = 60_000  # in a round, for designs with many runs: they take some seconds
+    one_by_one: Final = 256  # runs in a sample if they are integrated one by one, each for milliseconds
+    fewest_one_by_one: Final = 32  # designs of such a sample
+    thorough: Final = 4  # rounds of a thorough search
 
 
-_EXTENT = _Extent()
 # Largest number of designs accepted as `search`: it takes days.
 _MOST_ACCEPTED = 1_000_000_000
 # A text that begins like a number, "nan" and "inf" included.
@@ -132,12 +131,12 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         runs: number of runs in a design.
         vectorised: whether the runs of many designs are integrated together.
     """
-    row = min(dimensions, len(_EXTENT.designs)) - 1
-    designs = min(_EXTENT.designs[row], max(_EXTENT.one_by_one, _EXTENT.most_runs // max(runs, 1)))
+    row = min(dimensions, len(_Extent.designs)) - 1
+    designs = min(_Extent.designs[row], max(_Extent.one_by_one, _Extent.most_runs // max(runs, 1)))
     designs = 1 << (designs.bit_length() - 1)  # only powers of two make Sobol points even
-    islands = _EXTENT.islands[row] if designs * runs < _EXTENT.most_runs else 0
+    islands = _Extent.islands[row] if designs * runs < _Extent.most_runs else 0
     if not vectorised:
-        designs = max(_EXTENT.fewest_one_by_one, _EXTENT.one_by_one // max(runs, 1))
+        designs = max(_Extent.fewest_one_by_one, _Extent.one_by_one // max(runs, 1))
         designs, islands = 1 << (designs.bit_length() - 1), 0
     number = number_of(search)
     if number is not None and number < designs:
@@ -152,7 +151,7 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         descents=4 + 3 * dimensions,
         followed=4 + 2 * dimensions,
         dense=not many and search != "thorough",
-        rounds=_EXTENT.thorough if search == "thorough" else 1,
+        rounds=_Extent.thorough if search == "thorough" else 1,
         most_designs=number,
         seconds=seconds_of(search),
     )

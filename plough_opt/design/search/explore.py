@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -14,10 +14,10 @@ from plough_opt.core.checks import check_callable
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.search.effort import Effort, TimeLimit, expected_unseen
 from plough_opt.design.search.landscape import (
-    BASINS,
     LEAST_GAIN,
     MANY_VARIABLES,
     SEED,
+    Basins,
     Evaluations,
     Landscape,
     apart,
@@ -37,38 +37,32 @@ Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it done."""
 
 
-class _Round(NamedTuple):
+class _Round:
     """Bounds of the parts of a round that the effort does not set."""
 
-    block: int = 2048  # designs between two looks at the clock if they are integrated side by side
-    one_by_one: int = 32  # the same if they are integrated one by one, which can take half a minute
-    infeasible_starts: int = 4  # of descents where feasible designs are rare
-    converged: float = 1e-7  # An island has converged when its merits scatter by less than this fraction.
-    most_followed: int = 256  # points of the uniform part of a sample, to basins that may be known already
-    few_unseen: float = 0.1  # With fewer expected unseen basins, the evolution, which might find one, is skipped.
+    block: Final = 2048  # designs between two looks at the clock if they are integrated side by side
+    one_by_one: Final = 32  # the same if they are integrated one by one, which can take half a minute
+    infeasible_starts: Final = 4  # of descents where feasible designs are rare
+    converged: Final = 1e-7  # An island has converged when its merits scatter by less than this fraction.
+    most_followed: Final = 256  # points of the uniform part of a sample, to basins that may be known already
+    few_unseen: Final = 0.1  # With fewer expected unseen basins, the evolution, which might find one, is skipped.
 
 
-_ROUND = _Round()
-
-
-class _CloserLook(NamedTuple):
+class _Look:
     """Extent of the search in boxes around the best designs. Lengths are fractions of the range."""
 
-    rounds: int = 4
-    violation_rounds: int = 16  # as long as it falls; the last per mille may take many
-    centres: int = 2  # designs that get a box
-    sample: int = 256
-    radii: tuple[float, ...] = (0.06,)  # half width of a box
-    radii_if_rare: tuple[float, ...] = (0.06, 0.015, 0.004)  # The region of rare feasible designs may have any size.
-    descents: int = 4  # from each box
-    another_dip: float = 0.01  # A dip farther than this part of a line from the design on it counts as another one.
-    ends: int = 64  # lowest ends of descents whose differences are steps to other ripples
-    translations: int = 3  # rounds of such steps: a better ripple may lie several away
-    moves: int = 12  # descents from designs after such a step
-    digits: int = 4  # of such steps: ends of the same descent differ in later digits
-
-
-_LOOK = _CloserLook()
+    rounds: Final = 4
+    violation_rounds: Final = 16  # as long as it falls; the last per mille may take many
+    centres: Final = 2  # designs that get a box
+    sample: Final = 256
+    radii: Final = (0.06,)  # half width of a box
+    radii_if_rare: Final = (0.06, 0.015, 0.004)  # The region of rare feasible designs may have any size.
+    descents: Final = 4  # from each box
+    another_dip: Final = 0.01  # A dip farther than this part of a line from the design on it counts as another one.
+    ends: Final = 64  # lowest ends of descents whose differences are steps to other ripples
+    translations: Final = 3  # rounds of such steps: a better ripple may lie several away
+    moves: Final = 12  # descents from designs after such a step
+    digits: Final = 4  # of such steps: ends of the same descent differ in later digits
 
 
 def silent(_stage: str, _fraction: float) -> None:
@@ -183,7 +177,7 @@ class Explorer:
 
     def _sampled(self, points: Vector) -> Evaluations:
         """Return the designs of a sample, as many as there is time for."""
-        block = _ROUND.block if self.landscape.vectorised else _ROUND.one_by_one
+        block = _Round.block if self.landscape.vectorised else _Round.one_by_one
         parts = []
         for begin in range(0, len(points), block):
             if begin and self.limit.passed(f"part of the sample of {len(points)} designs"):
@@ -233,7 +227,7 @@ class Explorer:
         lowest, downhill = local_minima(points, self._merit(sampled))
         if self._feasible_rare:
             feasible = sampled.feasible[lowest]
-            lowest = np.r_[lowest[feasible], lowest[~feasible][: _ROUND.infeasible_starts]]
+            lowest = np.r_[lowest[feasible], lowest[~feasible][: _Round.infeasible_starts]]
         lowest = lowest[: effort.descents]
         starts = [*sampled.points[lowest], *further]
         ends: list[int] = []
@@ -248,7 +242,7 @@ class Explorer:
             # The basins that these reach may make the evolution unnecessary.
             self._follow(sampled, random_starts, known)
         unseen = expected_unseen(*self._follow_counts(self._basins()[1])) if self._dense and self._followed else None
-        if unseen is None or unseen > _ROUND.few_unseen:
+        if unseen is None or unseen > _Round.few_unseen:
             for island in range(effort.islands if len(self.variables) > 1 else 0):
                 if self.stop() or self.limit.passed("evolution"):
                     break
@@ -281,7 +275,7 @@ class Explorer:
         evaluated = self._evaluate(lines)
         promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated))
         for k in dips:
-            if promising[k] and np.max(np.abs(lines[k] - centre)) > _LOOK.another_dip * min(2.0 * radius, 1.0):
+            if promising[k] and np.max(np.abs(lines[k] - centre)) > _Look.another_dip * min(2.0 * radius, 1.0):
                 self.progress("descending from dips along each variable", 0.0)
                 self._end_from(lines[k])
 
@@ -298,17 +292,17 @@ class Explorer:
         self._descend_from_dips(minima.points[0])
         if len(self.variables) < 2:
             return
-        for _ in range(_LOOK.violation_rounds if self.shortfall else _LOOK.rounds):
+        for _ in range(_Look.violation_rounds if self.shortfall else _Look.rounds):
             if self.stop() or self.limit.passed("a closer look at the best designs"):
                 return
-            centres, before = self._basins()[0].points[: _LOOK.centres], len(self._ends.f)
-            radii = _LOOK.radii_if_rare if self.shortfall or self._feasible_rare else _LOOK.radii
+            centres, before = self._basins()[0].points[: _Look.centres], len(self._ends.f)
+            radii = _Look.radii_if_rare if self.shortfall or self._feasible_rare else _Look.radii
             boxes = list(itertools.product(centres, radii))
             for number, (centre, radius) in enumerate(boxes):
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
                 self._descend_from_dips(centre, radius)
-            for _ in range(_LOOK.translations):
+            for _ in range(_Look.translations):
                 self._descend_from_translations()
             merit = self._merit(self._ends)
             lowest = np.min(merit[:before])
@@ -317,12 +311,12 @@ class Explorer:
 
     def _descend_inside(self, centre: Vector, radius: float, rng: np.random.Generator) -> None:
         """Descend from the lowest sampled designs of a box around a design."""
-        points, _ = sample(len(self.variables), _LOOK.sample, np.full(len(self.variables), 0.5), rng)
+        points, _ = sample(len(self.variables), _Look.sample, np.full(len(self.variables), 0.5), rng)
         inside = np.clip(centre[self.variables] + radius * (2.0 * points - 1.0), 0.0, 1.0)
         designs = with_variables(centre, self.variables, inside)
         evaluated = self._evaluate(designs)
         promising = self._worth_descending(evaluated)
-        for k in local_minima(points, self._merit(evaluated))[0][: _LOOK.descents]:
+        for k in local_minima(points, self._merit(evaluated))[0][: _Look.descents]:
             if promising[k]:
                 self._end_from(designs[k])
 
@@ -332,14 +326,14 @@ class Explorer:
         A box holds hardly any sample in the ripple next to the best one if that differs in several variables.
         """
         merit = self._merit(self._ends)
-        order = apart(self._ends.points, np.argsort(merit, kind="stable"), BASINS.same, _LOOK.ends)
+        order = apart(self._ends.points, np.argsort(merit, kind="stable"), Basins.same, _Look.ends)
         lowest, highest = self._ends.points[order], merit[order[-1]]
         moved = np.clip(lowest[0] + (lowest[:, None] - lowest).reshape(-1, lowest.shape[1]), 0.0, 1.0)
-        moved = moved[np.unique(moved.round(_LOOK.digits), axis=0, return_index=True)[1]]
-        near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < BASINS.same
+        moved = moved[np.unique(moved.round(_Look.digits), axis=0, return_index=True)[1]]
+        near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < Basins.same
         tried = self._evaluate(moved[~near])
         promising, merit = self._worth_descending(tried), self._merit(tried)
-        for k in np.argsort(merit, kind="stable")[: _LOOK.moves]:
+        for k in np.argsort(merit, kind="stable")[: _Look.moves]:
             if promising[k] and merit[k] <= highest:
                 self._end_from(tried.points[k])
 
@@ -352,12 +346,12 @@ class Explorer:
             known: ends of descents by the number of their start; new ones are added.
         """
         left, doing = self.effort.followed, "following designs drawn at random"
-        for number, start in enumerate(starts[: _ROUND.most_followed]):
+        for number, start in enumerate(starts[: _Round.most_followed]):
             if start not in known:
                 if left == 0 or not np.isfinite(sampled.merit[start]) or self.limit.passed(doing):
                     return
                 left -= 1
-                self.progress(doing, number / min(len(starts), _ROUND.most_followed))
+                self.progress(doing, number / min(len(starts), _Round.most_followed))
                 known[start] = self._end_from(sampled.points[start])
             self._followed.append(known[start])
 
@@ -403,7 +397,7 @@ class Explorer:
             rng,
             # Every second island mutates random designs instead of the best one.
             from_best=island % 2 == 0 and points.shape[1] < MANY_VARIABLES,
-            alike=_ROUND.converged,
+            alike=_Round.converged,
             stop=lambda: self.limit.passed("further generations of the evolution"),
         )
         return np.asarray(self._full_designs(best[None])[0])
@@ -427,7 +421,7 @@ class Explorer:
             if same is None:
                 minima.append(k)
                 lowest.append(k)
-            elif merit[k] < merit[lowest[same]] and ranks[k] <= ranks[minima[same]] + BASINS.needle * abs(ranks[k]):
+            elif merit[k] < merit[lowest[same]] and ranks[k] <= ranks[minima[same]] + Basins.needle * abs(ranks[k]):
                 # The medians of a basin's ripples differ by chance, but for a needle's.
                 lowest[same] = k
         return ends.select(lowest), basin
@@ -436,7 +430,7 @@ class Explorer:
         """Return the number of the first minimum that no barrier separates from end k, or None."""
         if not minima:
             return None
-        near = np.flatnonzero(np.max(np.abs(ends.points[minima] - ends.points[k]), axis=1) < BASINS.same)
+        near = np.flatnonzero(np.max(np.abs(ends.points[minima] - ends.points[k]), axis=1) < Basins.same)
         if len(near):
             return int(near[0])
         if not self.landscape.vectorised:

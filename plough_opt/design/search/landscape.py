@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,32 +22,26 @@ LEAST_GAIN = 1e-6
 """Relative gain of the merit that justifies another look at the best designs."""
 
 
-class Violation(NamedTuple):
+class Violation:
     """Which violations of the requirements a search allows, and what they weigh."""
 
-    allowed: float = 1e-6  # sum of the scaled violations of a design that a search counts as feasible
-    allowed_in_answer: float = 5e-10  # the same for a design that is returned as an answer
-    weight: float = 100.0  # in the merit: it must outweigh any gain in the scaled objective, which is of order 1
+    allowed: Final = 1e-6  # sum of the scaled violations of a design that a search counts as feasible
+    allowed_in_answer: Final = 5e-10  # the same for a design that is returned as an answer
+    weight: Final = 100.0  # in the merit: it must outweigh any gain in the scaled objective, which is of order 1
     # Base merit of an infeasible design: above every scaled objective, yet small enough not to swallow the digits of
     # the violation that is added to it.
-    infeasible: float = 1e8
+    infeasible: Final = 1e8
 
 
-VIOLATION = Violation()
-
-
-class Basins(NamedTuple):
+class Basins:
     """What tells designs, basins and needles apart."""
 
-    same: float = 1e-3  # Two scaled designs count as the same if no variable differs by more than this.
+    same: Final = 1e-3  # Two scaled designs count as the same if no variable differs by more than this.
     # A rise of the merit by this fraction is a barrier between basins; a lower one is a ripple.
-    barrier: float = 1e-3
+    barrier: Final = 1e-3
     # An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction: of
     # the objective's magnitude, and at least of a quarter of its typical size over all designs.
-    needle: float = 0.05
-
-
-BASINS = Basins()
+    needle: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -73,17 +67,17 @@ class Evaluations:
     @property
     def feasible(self) -> np.ndarray:
         """Whether each design meets all requirements."""
-        return self.violation <= VIOLATION.allowed
+        return self.violation <= Violation.allowed
 
     @property
     def merit(self) -> Vector:
         """Objective plus penalty for violations; infinite where the design cannot be evaluated."""
-        return np.where(np.isfinite(self.f), self.f + VIOLATION.weight * self.violation, np.inf)
+        return np.where(np.isfinite(self.f), self.f + Violation.weight * self.violation, np.inf)
 
     @property
     def strict_merit(self) -> Vector:
         """A merit that ranks every feasible design before every infeasible one."""
-        infeasible = VIOLATION.infeasible + np.minimum(self.violation, VIOLATION.infeasible)
+        infeasible = Violation.infeasible + np.minimum(self.violation, Violation.infeasible)
         return np.where(np.isfinite(self.f), np.where(self.feasible, self.f, infeasible), np.inf)
 
     def select(self, which: Any) -> Evaluations:
@@ -199,19 +193,16 @@ class Landscape:
 # --- straight lines between designs: they show whether two designs lie in one basin --------------------------
 
 
-class _StraightLines(NamedTuple):
+class _Lines:
     """Positions on straight lines between designs, and how far the merit may rise along them."""
 
-    barrier_positions: int = 24  # at which a barrier between two designs is looked for
+    barrier_positions: Final = 24  # at which a barrier between two designs is looked for
     # Along a descent path. They are denser towards both ends, where narrow basins would show.
-    path_positions: int = 40
-    stride: int = 5  # Every fifth of these is evaluated first.
+    path_positions: Final = 40
+    stride: Final = 5  # Every fifth of these is evaluated first.
     # Fraction of the merit by which it may rise along such a path, because of rounding and the accuracy of the end.
-    path_rise: float = 1e-6
-    nearest_ends: int = 4  # Only paths to this many are examined.
-
-
-_LINES = _StraightLines()
+    path_rise: Final = 1e-6
+    nearest_ends: Final = 4  # Only paths to this many are examined.
 
 
 def barriers(evaluate: Callable[[Vector], Evaluations], one: Evaluations, others: Evaluations) -> NDArray[np.bool_]:
@@ -222,11 +213,11 @@ def barriers(evaluate: Callable[[Vector], Evaluations], one: Evaluations, others
         one: the one design.
         others: the other designs.
     """
-    fractions = np.linspace(0.0, 1.0, _LINES.barrier_positions + 2)[1:-1]
+    fractions = np.linspace(0.0, 1.0, _Lines.barrier_positions + 2)[1:-1]
     lines = one.points + fractions[:, None, None] * (others.points - one.points)
-    merit = evaluate(lines.reshape(-1, lines.shape[2])).merit.reshape(_LINES.barrier_positions, -1)
+    merit = evaluate(lines.reshape(-1, lines.shape[2])).merit.reshape(_Lines.barrier_positions, -1)
     higher = np.maximum(others.merit, one.merit)
-    return np.asarray(merit.max(axis=0) > higher + BASINS.barrier * np.abs(higher))
+    return np.asarray(merit.max(axis=0) > higher + Basins.barrier * np.abs(higher))
 
 
 def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations) -> int | None:
@@ -238,10 +229,10 @@ def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations
     distance = np.max(np.abs(ends.points - start), axis=1)
     # Rounding the distance puts ends of the same basin side by side: of these the lowest is taken.
     order = np.lexsort((ends.merit, distance.round(3)))
-    near = apart(ends.points, order[np.isfinite(ends.merit[order])], BASINS.same, _LINES.nearest_ends)
-    fractions = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _LINES.path_positions))
+    near = apart(ends.points, order[np.isfinite(ends.merit[order])], Basins.same, _Lines.nearest_ends)
+    fractions = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _Lines.path_positions))
     # Most paths rise early or not at all: a few positions rule out most of those that rise.
-    for some in (fractions[:: _LINES.stride], np.delete(fractions, np.s_[:: _LINES.stride])):
+    for some in (fractions[:: _Lines.stride], np.delete(fractions, np.s_[:: _Lines.stride])):
         if near:
             falling = _only_fall(landscape, start, ends.points[near], some)
             near = [k for k, falls in zip(near, falling, strict=True) if falls]
@@ -254,7 +245,7 @@ def _only_fall(landscape: Landscape, start: Vector, ends: Vector, fractions: Vec
     # Equal numbers of steps along a line: a change of the number would look like a rise.
     merit = landscape(lines.reshape(-1, len(start)), together=len(fractions)).merit.reshape(-1, len(fractions))
     with np.errstate(invalid="ignore"):
-        small = largest_rise(merit) <= _LINES.path_rise * np.abs(merit[:, -1])
+        small = largest_rise(merit) <= _Lines.path_rise * np.abs(merit[:, -1])
     return np.asarray(np.isfinite(merit).all(axis=1) & small)
 
 
@@ -333,20 +324,17 @@ MANY_VARIABLES = 6
 _WORST = 1e30
 
 
-class _Sample(NamedTuple):
+class _Sample:
     """Extent of a sample, and of what counts as a local minimum in it."""
 
-    size: int = 1024  # by default
+    size: Final = 1024  # by default
     # Half of it is stretched by this fraction of the range on either side and clipped, so that it includes bounds and
     # corners.
-    stretch: float = 0.15
-    neighbours: int = 4  # for each variable; a local minimum is lower than all of them
+    stretch: Final = 0.15
+    neighbours: Final = 4  # for each variable; a local minimum is lower than all of them
 
 
-_SAMPLE = _Sample()
-
-
-def evaluated_sample(landscape: Landscape, count: int = _SAMPLE.size) -> Evaluations:
+def evaluated_sample(landscape: Landscape, count: int = _Sample.size) -> Evaluations:
     """Return a sample of a landscape over all its variables; its size must be a power of two."""
     middle = np.full(landscape.dimensions, 0.5)
     points, _ = sample(landscape.dimensions, count, middle, np.random.default_rng(SEED))
@@ -368,18 +356,15 @@ def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple
         return np.vstack([grid, start[None]]), rng.permutation(count)
     points = sobol_points(n, count, rng)
     half = count // 2
-    points[half:] = np.clip((1.0 + 2.0 * _SAMPLE.stretch) * points[half:] - _SAMPLE.stretch, 0.0, 1.0)
+    points[half:] = np.clip((1.0 + 2.0 * _Sample.stretch) * points[half:] - _Sample.stretch, 0.0, 1.0)
     return np.vstack([points, start[None], np.full((1, n), 0.5)]), rng.permutation(half)
 
 
-class _AlongVariables(NamedTuple):
+class _Along:
     """Extent of a look along each variable through a design."""
 
-    positions: int = 128  # on each line
-    dips: int = 4  # from which descents start, as many times the number of variables
-
-
-_ALONG = _AlongVariables()
+    positions: Final = 128  # on each line
+    dips: Final = 4  # from which descents start, as many times the number of variables
 
 
 def with_variables(y: Vector, variables: Sequence[int], points: Any) -> Vector:
@@ -397,9 +382,9 @@ def lines_through(y: Vector, variables: Sequence[int], radius: float = 1.0) -> V
         variables: numbers of the variables.
         radius: length of the lines on either side of the design; they end at bounds.
     """
-    lines = np.tile(y, (len(variables), _ALONG.positions, 1))
+    lines = np.tile(y, (len(variables), _Along.positions, 1))
     for line, k in zip(lines, variables, strict=True):
-        line[:, k] = np.linspace(max(y[k] - radius, 0.0), min(y[k] + radius, 1.0), _ALONG.positions)
+        line[:, k] = np.linspace(max(y[k] - radius, 0.0), min(y[k] + radius, 1.0), _Along.positions)
     return lines.reshape(-1, len(y))
 
 
@@ -416,7 +401,7 @@ def local_minima(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]
     from scipy.spatial import KDTree  # slow to import
 
     n = points.shape[1]
-    count = min(_SAMPLE.neighbours * n if n > 1 else 2, len(points) - 1)
+    count = min(_Sample.neighbours * n if n > 1 else 2, len(points) - 1)
     _, around = KDTree(points).query(points, k=count + 1)
     around = np.hstack([np.arange(len(points))[:, None], around])
     ends = around[np.arange(len(points)), np.argmin(merit[around], axis=1)]
@@ -433,10 +418,10 @@ def dips_along(merit: Vector) -> np.ndarray:
     Args:
         merit: of each position, line after line.
     """
-    lines = merit.reshape(-1, _ALONG.positions)
+    lines = merit.reshape(-1, _Along.positions)
     wall = np.pad(lines, ((0, 0), (1, 1)), constant_values=np.inf)
     dips = np.flatnonzero(((wall[:, 1:-1] < wall[:, :-2]) & (wall[:, 1:-1] <= wall[:, 2:])).ravel())
-    return np.asarray(dips[np.argsort(merit[dips], kind="stable")][: _ALONG.dips * len(lines)])
+    return np.asarray(dips[np.argsort(merit[dips], kind="stable")][: _Along.dips * len(lines)])
 
 
 def evolved(

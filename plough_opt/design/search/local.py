@@ -8,7 +8,7 @@ import numpy as np
 
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.optimality import (
-    ZERO,
+    Zero,
     curvature_of,
     difference_quotients,
     free_directions,
@@ -25,7 +25,7 @@ from plough_opt.design.model.optimality import (
 )
 from plough_opt.design.model.program import Program, cached
 from plough_opt.design.search.effort import TimeLimit
-from plough_opt.design.search.landscape import FINER, VIOLATION, Evaluations, Landscape, concatenated
+from plough_opt.design.search.landscape import FINER, Evaluations, Landscape, Violation, concatenated
 
 Box = tuple[Vector | float, Vector | float]
 """Lower and upper bounds of scaled variables."""
@@ -35,49 +35,43 @@ Box = tuple[Vector | float, Vector | float]
 _FIRST_ROUNDS: Final = 3
 
 
-class _DescentSteps(NamedTuple):
+class _DescentSteps:
     """Bounds of a descent's steps: how many, how long, and which are tried side by side."""
 
-    most: int = 25
-    longest: float = 0.3  # as far as the quadratic programs of a multimodal landscape mean anything
+    most: Final = 25
+    longest: Final = 0.3  # as far as the quadratic programs of a multimodal landscape mean anything
     # A descent ends when a step is shorter than this, or lowers the merit by less than this fraction: along a flat
     # valley IPOPT goes on.
-    shortest: float = 1e-7
-    least_gain: float = 1e-7
+    shortest: Final = 1e-7
+    least_gain: Final = 1e-7
     # Fractions of a step that are tried side by side. Steps where curvatures are negative are too short; therefore
     # these parts of the longest step are tried, too, along the direction of the most negative curvature. From a place
     # between two ripples quadratic programs lead to the wide one, and a search of eight variables misses the narrow
     # one.
-    fractions: Vector = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
-    whole: int = 1  # position of the whole step among them
-    lengths: Vector = 0.5 ** np.arange(12.0)
+    fractions: Final = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
+    whole: Final = 1  # position of the whole step among them
+    lengths: Final = 0.5 ** np.arange(12.0)
     # A direction counts as one of negative curvature below this, relative to the largest: quotients are not more
     # accurate.
-    concave: float = -1e-4
+    concave: Final = -1e-4
     # A slope below this part of what the curvature adds over the longest step does not show the lower side: try both.
-    level: float = 1e-3
+    level: Final = 1e-3
     # If even the whole step leads up and no fraction down, there is a kink nearby, across which quotients show no
     # slope: they are formed over this part of the distance, and so is the longest step, until it is this part of the
     # first. Over much less a run's rounding (about 1e-13) would drown the slopes.
-    shorter: float = 0.03
-    shortest_reach: float = 1e-4
+    shorter: Final = 0.03
+    shortest_reach: Final = 1e-4
 
 
-_DESCENT = _DescentSteps()
-
-
-class _DescentLimits(NamedTuple):
+class _Limits:
     """What the limits of the requirements weigh in a descent, and how many of their rows take part."""
 
     # Of a violation within the feasibility tolerance, so high that the objective cannot exploit the tolerance.
-    weight_if_feasible: float = 1e4
+    weight_if_feasible: Final = 1e4
     # A violation weighs this many times the largest multiplier; above 1 no optimum breaks a limit.
-    over_multipliers: float = 2.0
+    over_multipliers: Final = 2.0
     # A requirement with many rows, such as a deflection at every output, enters with its worst rows only.
-    most_rows: int = 6
-
-
-_LIMITS = _DescentLimits()
+    most_rows: Final = 6
 
 
 def descend(landscape: Landscape, start: Vector, box: Box = (0.0, 1.0)) -> Evaluations:
@@ -164,24 +158,24 @@ class _Descent:
     def end_from(self, start: Vector) -> Evaluations:
         """Return the best design on the way of a descent from a start."""
         y, lam_g, rows, weight, reach = start, np.zeros(len(self._program.low)), np.empty(0, dtype=int), 1.0, 1.0
-        for number in range(_DESCENT.most):
+        for number in range(_DescentSteps.most):
             derivatives = difference_quotients(self._neighbours, y, reach)
             if derivatives is None:
                 break
             rows = np.union1d(rows, self._worst_rows(derivatives[0][1:]))
             moves, lam_g[rows] = self._moves(y, derivatives, rows, lam_g[rows], 1 if number else _FIRST_ROUNDS, reach)
-            if np.max(np.abs(moves[_DESCENT.whole])) < reach * _DESCENT.shortest:
+            if np.max(np.abs(moves[_DescentSteps.whole])) < reach * _DescentSteps.shortest:
                 break
-            weight = max(0.5 * weight, _LIMITS.over_multipliers * float(np.max(np.abs(lam_g), initial=0.0)))
+            weight = max(0.5 * weight, _Limits.over_multipliers * float(np.max(np.abs(lam_g), initial=0.0)))
             line = np.clip(y + moves, *self._box)
             merit = self._merits(line, weight)
-            lowest, least_gain = int(np.nanargmin(merit)), _DESCENT.least_gain * abs(merit[0])
+            lowest, least_gain = int(np.nanargmin(merit)), _DescentSteps.least_gain * abs(merit[0])
             if merit[lowest] < merit[0] - least_gain:
                 y = line[lowest]
-            elif merit[_DESCENT.whole] <= merit[0] + least_gain or reach < _DESCENT.shortest_reach:
+            elif merit[_DescentSteps.whole] <= merit[0] + least_gain or reach < _DescentSteps.shortest_reach:
                 break
             else:
-                reach *= _DESCENT.shorter
+                reach *= _DescentSteps.shorter
         return self._landscape(np.array([start if self._best is None else self._best[2]]), finer=FINER)
 
     def _neighbours(self, designs: Vector) -> tuple[Vector, Vector]:
@@ -199,8 +193,8 @@ class _Descent:
         f, g = self._neighbours(designs)
         with np.errstate(all="ignore"):
             violation = self._landscape.violations(g).sum(axis=1)
-            feasible = violation <= VIOLATION.allowed
-            merit = f + np.where(feasible, _LIMITS.weight_if_feasible, VIOLATION.weight) * violation
+            feasible = violation <= Violation.allowed
+            merit = f + np.where(feasible, _Limits.weight_if_feasible, Violation.weight) * violation
         merit[~np.isfinite(merit)] = np.inf
         k = np.lexsort((merit, ~feasible))[0]
         if np.isfinite(merit[k]):
@@ -228,27 +222,27 @@ class _Descent:
         hessians[0] /= size
         at = np.array(g), gradient / size, np.reshape(jacobian, (len(rows), len(y)))
         limits = self._program.low[rows], self._program.high[rows]
-        longest = reach * _DESCENT.longest
+        longest = reach * _DescentSteps.longest
         box = np.maximum(self._box[0], y - longest), np.minimum(self._box[1], y + longest)
         step, lam_g, lam_y = np.zeros(len(y)), lam_g / size, np.zeros(len(y))
         for _ in range(rounds):
             curvature = curvature_of(hessians, lam_g)
             found = optimum_step(curvature, y, at, limits, box=box) or relaxed_step(
-                curvature, y, at, limits, box, np.array(self._program.owner, dtype=int)[rows], VIOLATION.weight
+                curvature, y, at, limits, box, np.array(self._program.owner, dtype=int)[rows], Violation.weight
             )
             if found is None:
                 break
             step, lam_g, lam_y = found
-        moves = _DESCENT.fractions[:, None] * step
-        held = (np.abs(lam_y) > ZERO.multiplier) & (np.abs(step) < longest)
-        free = free_directions(np.vstack([at[2][np.abs(lam_g) > ZERO.multiplier], np.eye(len(y))[held]]))
+        moves = _DescentSteps.fractions[:, None] * step
+        held = (np.abs(lam_y) > Zero.multiplier) & (np.abs(step) < longest)
+        free = free_directions(np.vstack([at[2][np.abs(lam_g) > Zero.multiplier], np.eye(len(y))[held]]))
         curvatures, directions = reduced_curvatures(lagrangian(hessians, lam_g), free)
-        if np.any(curvatures < _DESCENT.concave):
+        if np.any(curvatures < _DescentSteps.concave):
             aside = directions[:, 0] / np.max(np.abs(directions[:, 0]))
             slope = gradient @ aside
-            farther = _DESCENT.lengths[:, None] * -np.copysign(longest, slope) * aside
+            farther = _DescentSteps.lengths[:, None] * -np.copysign(longest, slope) * aside
             moves = np.vstack([moves, farther])
-            if abs(slope) < _DESCENT.level * abs(curvatures[0]) * longest:
+            if abs(slope) < _DescentSteps.level * abs(curvatures[0]) * longest:
                 moves = np.vstack([moves, -farther])
         return moves, lam_g * size
 
@@ -258,25 +252,22 @@ class _Descent:
         chosen: list[int] = []
         for begin, end in zip(first, [*first, len(g)][1:], strict=True):
             # The rows of a long requirement are a curve over time: each dip of its margin can become active.
-            few = end - begin <= _LIMITS.most_rows
-            which = range(end - begin) if few else lowest_dips(margin[begin:end], _LIMITS.most_rows)
+            few = end - begin <= _Limits.most_rows
+            which = range(end - begin) if few else lowest_dips(margin[begin:end], _Limits.most_rows)
             chosen += [begin + int(k) for k in which]
         return np.array(chosen, dtype=int)
 
 
-class _QuickPolish(NamedTuple):
+class _Quick:
     """What a design must be like to be polished by a few quadratic programs instead of IPOPT."""
 
-    most_steps: int = 5  # A start that needs more is not nearly optimal.
+    most_steps: Final = 5  # A start that needs more is not nearly optimal.
     # If difference quotients deviate from the exact slopes by this fraction of the largest, there is a kink in between,
     # as in the RMS of an amplitude at 0.
-    kink: float = 0.05
-    margin: float = 1e-11  # kept to each limit, scaled, so that rounding does not violate it
-    active: float = 1e-8  # A limit is active below this scaled margin.
-    dependent: float = 1e-7  # Slopes of length 1 are dependent if their matrix has a singular value below this.
-
-
-_QUICK = _QuickPolish()
+    kink: Final = 0.05
+    margin: Final = 1e-11  # kept to each limit, scaled, so that rounding does not violate it
+    active: Final = 1e-8  # A limit is active below this scaled margin.
+    dependent: Final = 1e-7  # Slopes of length 1 are dependent if their matrix has a singular value below this.
 
 
 def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -> Point | None:
@@ -293,13 +284,13 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
     """
     if (derivatives := Landscape(program, p).quotients(start)) is None:
         return None
-    margin = np.where(program.low < program.high, _QUICK.margin, 0.0)
+    margin = np.where(program.low < program.high, _Quick.margin, 0.0)
     corrector = Corrector(program, margin)
     f, *at = corrector.slopes(start, p)
     exact = np.vstack(at[1:])
     largest = float(np.max(np.abs(exact)))
     # A slope may be infinite, as that of a square root at a bound; a difference without a value is NaN.
-    if not largest < np.inf or not np.max(np.abs(exact - derivatives[1])) <= _QUICK.kink * max(1.0, largest):
+    if not largest < np.inf or not np.max(np.abs(exact - derivatives[1])) <= _Quick.kink * max(1.0, largest):
         return None
     status, limits = "Search_Direction_Becomes_Too_Small", (program.low + margin, program.high - margin)
     point = Point(False, status, start, float(f[0]), np.zeros(len(margin)), np.zeros(len(start)), 0)
@@ -310,26 +301,25 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
             return None
         point = replace(point, lam_g=found[1])
     try:
-        point = corrector.iterate(point, curvature, p, _QUICK.most_steps)
+        point = corrector.iterate(point, curvature, p, _Quick.most_steps)
     except ValueError:  # a slope on the way has no value
         return None
     _, g, _, jacobian = corrector.slopes(point.y, p)
     margins = np.concatenate([program.margins(g), np.minimum(point.y, 1.0 - point.y)])
-    active = np.vstack([jacobian, np.eye(len(start))])[margins < _QUICK.active]
+    active = np.vstack([jacobian, np.eye(len(start))])[margins < _Quick.active]
     met = np.all((margin == 0.0) | (program.margins(g) >= 0.0))
     # Multipliers of dependent limits are ambiguous.
-    return point if point.solved and met and independent(active, _QUICK.dependent) else None
+    return point if point.solved and met and independent(active, _Quick.dependent) else None
 
 
-class _Polished(NamedTuple):
+class _Polished:
     """How far a polished design may lie from its start, and how far above it."""
 
-    same_basin: float = 0.05  # An optimum this close to a start, as a fraction of the range, belongs to its basin.
-    same_ripple: float = 0.005
-    higher: float = 1e-8  # fraction of the objective: IPOPT's tolerance
+    same_basin: Final = 0.05  # An optimum this close to a start, as a fraction of the range, belongs to its basin.
+    same_ripple: Final = 0.005
+    higher: Final = 1e-8  # fraction of the objective: IPOPT's tolerance
 
 
-_POLISHED = _Polished()
 # IPOPT stops with these near an optimum if the objective is rough, as on a needle.
 _STALLED = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 
@@ -345,13 +335,13 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
     """
     highest = highest_accepted(program, p, start)
     near = polished_by_quadratic_programs(program, p, start)
-    near_enough = near is not None and np.max(np.abs(near.y - start)) < _POLISHED.same_basin and near.f <= highest
+    near_enough = near is not None and np.max(np.abs(near.y - start)) < _Polished.same_basin and near.f <= highest
     if near is not None and near_enough and not program.refuses(near.y, p):
         return near
     as_found = point_as_found(program, p, start)
-    for box, exact in ((1.0, False), (_POLISHED.same_basin, True), (_POLISHED.same_ripple, True)):
+    for box, exact in ((1.0, False), (_Polished.same_basin, True), (_Polished.same_ripple, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
-        if point.status in _STALLED and _violation(program, p, point.y)[1] <= VIOLATION.allowed_in_answer:
+        if point.status in _STALLED and _violation(program, p, point.y)[1] <= Violation.allowed_in_answer:
             point = _stalled(program, p, point)
         if point.solved and point.f <= highest:
             return point
@@ -369,7 +359,7 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
 def solved_again(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum solved again after its program was rebuilt with other steps; the same basin, updated digits."""
     highest = highest_accepted(program, p, point.y)
-    for box, exact in ((_POLISHED.same_basin, False), (_POLISHED.same_ripple, False), (_POLISHED.same_ripple, True)):
+    for box, exact in ((_Polished.same_basin, False), (_Polished.same_ripple, False), (_Polished.same_ripple, True)):
         again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if again.solved and again.f <= highest:
             return again
@@ -380,7 +370,7 @@ def point_as_found(program: Program, p: Vector, y: Vector) -> Point:
     """Return a scaled design as an unconfirmed point without multipliers; it is solved if it is feasible."""
     f, violation = _violation(program, p, y)
     count = len(program.owner)
-    return Point(bool(violation <= VIOLATION.allowed_in_answer), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
+    return Point(bool(violation <= Violation.allowed_in_answer), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
 
 
 def _stalled(program: Program, p: Vector, point: Point) -> Point:
@@ -389,8 +379,8 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
     Its multipliers have not converged: those of limits that the design does not touch are noise.
     """
     g = np.asarray(program.nlp.values(point.y, p)[1]).ravel()
-    touches = program.margins(g) <= ZERO.margin
-    at_bound = np.minimum(point.y, 1.0 - point.y) <= ZERO.margin
+    touches = program.margins(g) <= Zero.margin
+    at_bound = np.minimum(point.y, 1.0 - point.y) <= Zero.margin
     lam_g, lam_y = np.where(touches, point.lam_g, 0.0), np.where(at_bound, point.lam_y, 0.0)
     return replace(point, solved=True, status=AS_FOUND, lam_g=lam_g, lam_y=lam_y)
 
@@ -398,7 +388,7 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
 def highest_accepted(program: Program, p: Vector, start: Vector) -> float:
     """Return the largest scaled objective at which an optimum counts as no worse than its start."""
     f, violation = _violation(program, p, start)
-    return f + _POLISHED.higher * abs(f) + VIOLATION.weight * violation if violation <= VIOLATION.allowed else np.inf
+    return f + _Polished.higher * abs(f) + Violation.weight * violation if violation <= Violation.allowed else np.inf
 
 
 def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
@@ -408,20 +398,17 @@ def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
     return float(f[0]), program.violation(g) if valid else np.inf
 
 
-class _Correction(NamedTuple):
+class _Correction:
     """Bounds of a correction's steps, and of the updates of its curvature."""
 
-    most_steps: int = 15
-    longest: float = 0.3  # step of a scaled variable; a design farther away is not a neighbour on the same branch
-    shrinking: float = 0.7  # A step counts as progress if it is shorter than this part of the shortest one before it.
-    patience: int = 4  # steps in a row without progress after which a correction is given up
+    most_steps: Final = 15
+    longest: Final = 0.3  # step of a scaled variable; a design farther away is not a neighbour on the same branch
+    shrinking: Final = 0.7  # A step counts as progress if it is shorter than this part of the shortest one before it.
+    patience: Final = 4  # steps in a row without progress after which a correction is given up
     # Threshold of Powell's damping: the least curvature along a step, relative to that of the present estimate.
-    damped: float = 0.2
+    damped: Final = 0.2
     # Over shorter steps the change of a gradient is mostly rounding, so the curvature is not updated.
-    shortest_update: float = 1e-9
-
-
-_CORRECTION = _Correction()
+    shortest_update: Final = 1e-9
 
 
 class Slopes(NamedTuple):
@@ -505,7 +492,7 @@ class Corrector:
                 return point
         return begin
 
-    def iterate(self, point: Point, curvature: Vector, p: Vector, most: int = _CORRECTION.most_steps) -> Point:
+    def iterate(self, point: Point, curvature: Vector, p: Vector, most: int = _Correction.most_steps) -> Point:
         """Return the optimum to which steps lead from a point; it is not ``solved`` if they cease to shrink.
 
         Args:
@@ -518,7 +505,7 @@ class Corrector:
         for number in range(most):
             f, g, gradient, jacobian = self.slopes(point.y, p)
             y = point.y
-            solution = optimum_step(curvature, y, (g, gradient, jacobian), self._limits, _CORRECTION.longest)
+            solution = optimum_step(curvature, y, (g, gradient, jacobian), self._limits, _Correction.longest)
             if solution is None:
                 return point
             step, lam_g, lam_y = solution
@@ -527,12 +514,12 @@ class Corrector:
                 self._curvature = curvature
                 return replace(point, solved=True, status="Solve_Succeeded", iterations=number)
             size = float(np.max(np.abs(step)))
-            stalled = 0 if size < _CORRECTION.shrinking * shortest else stalled + 1
+            stalled = 0 if size < _Correction.shrinking * shortest else stalled + 1
             shortest = min(size, shortest)
-            if stalled >= _CORRECTION.patience:
+            if stalled >= _Correction.patience:
                 return point
             point = replace(point, y=np.clip(y + step, 0.0, 1.0), lam_y=lam_y)
-            if size > _CORRECTION.shortest_update:
+            if size > _Correction.shortest_update:
                 _, _, next_gradient, next_jacobian = self.slopes(point.y, p)
                 change = next_gradient - gradient + (next_jacobian - jacobian).T @ lam_g
                 curvature = _updated(curvature, step, change)
@@ -572,8 +559,8 @@ def _updated(curvature: Vector, step: Vector, change: Vector) -> Vector:
     if expected <= np.finfo(float).tiny:
         return curvature
     measured = float(step @ change)
-    if measured < _CORRECTION.damped * expected:
-        share = (1.0 - _CORRECTION.damped) * expected / (expected - measured)
+    if measured < _Correction.damped * expected:
+        share = (1.0 - _Correction.damped) * expected / (expected - measured)
         change = share * change + (1.0 - share) * along
         measured = float(step @ change)
     return np.asarray(curvature - np.outer(along, along) / expected + np.outer(change, change) / measured)

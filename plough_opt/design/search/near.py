@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -13,9 +13,9 @@ from plough_opt.design.model.program import Program, with_sure_steps
 from plough_opt.design.search.effort import TimeLimit, effort_of
 from plough_opt.design.search.explore import Explored, Explorer
 from plough_opt.design.search.landscape import (
-    BASINS,
     FINER,
     SEED,
+    Basins,
     Evaluations,
     Landscape,
     apart,
@@ -26,28 +26,24 @@ from plough_opt.design.search.landscape import (
 from plough_opt.design.search.local import descend, least_violation, nearest_feasible, point_as_found, polished
 
 
-class _Boxes(NamedTuple):
+class _Boxes:
     """Boxes that keep a descent in its basin, and the look for barriers in them. Lengths are fractions of the range."""
 
-    half_width: float = 0.05  # of the first box
-    factor: float = 3.0  # The box shrinks by this factor if it contains a barrier.
-    smallest: float = 2e-4
-    most: int = 80
-    fewest_positions: int = 40  # on the straight line to an end, at which a barrier is looked for
-    positions_across: int = 256  # on a line across the whole range
+    half_width: Final = 0.05  # of the first box
+    factor: Final = 3.0  # The box shrinks by this factor if it contains a barrier.
+    smallest: Final = 2e-4
+    most: Final = 80
+    fewest_positions: Final = 40  # on the straight line to an end, at which a barrier is looked for
+    positions_across: Final = 256  # on a line across the whole range
 
 
-class _Nearer(NamedTuple):
+class _Nearer:
     """The search for a feasible design nearer to an infeasible guess than the one found so far."""
 
-    rounds: int = 5
-    sample: int = 128  # designs sampled in each round
-    violation: float = 0.2  # An infeasible sample is a start if its violation is below this fraction of the guess's.
-    distance: float = 0.999  # A result counts only if it reduces the distance at least by this factor.
-
-
-_BOXES = _Boxes()
-_NEARER = _Nearer()
+    rounds: Final = 5
+    sample: Final = 128  # designs sampled in each round
+    violation: Final = 0.2  # An infeasible sample is a start if its violation is below this fraction of the guess's.
+    distance: Final = 0.999  # A result counts only if it reduces the distance at least by this factor.
 
 
 def near_optimum(landscape: Landscape, start: Vector) -> tuple[Program, Point]:
@@ -83,19 +79,19 @@ def near_optimum(landscape: Landscape, start: Vector) -> tuple[Program, Point]:
 
 def _descended_in_boxes(landscape: Landscape, y: Vector) -> Vector:
     """Return the end of successive descents that are confined to small boxes and cross no barrier."""
-    box = _BOXES.half_width
-    for _ in range(_BOXES.most):
+    box = _Boxes.half_width
+    for _ in range(_Boxes.most):
         end = descend(landscape, y, (np.maximum(y - box, 0.0), np.minimum(y + box, 1.0))).points[0]
         moved = np.max(np.abs(end - y))
         if _is_downhill(landscape, y, end):
             y = end
             if moved < 0.9 * box:
                 break
-            box = min(_BOXES.half_width, _BOXES.factor * box)
-        elif min(box, moved) < _BOXES.smallest:
+            box = min(_Boxes.half_width, _Boxes.factor * box)
+        elif min(box, moved) < _Boxes.smallest:
             break
         else:
-            box = min(box, moved) / _BOXES.factor
+            box = min(box, moved) / _Boxes.factor
     return y
 
 
@@ -103,13 +99,13 @@ def _nearest_feasible(landscape: Landscape, start: Evaluations) -> Evaluations:
     """Return the feasible design nearest to a start, as local searches and samples nearer to the start find it."""
     (guess,), rng = start.points, np.random.default_rng(SEED)
     found = nearest_feasible(landscape, guess)
-    for _ in range(_NEARER.rounds if found.feasible[0] else 0):
+    for _ in range(_Nearer.rounds if found.feasible[0] else 0):
         distance = np.linalg.norm(found.points[0] - guess)
-        directions = rng.standard_normal((_NEARER.sample, len(guess)))
-        lengths = distance * rng.random(_NEARER.sample) ** (1.0 / len(guess)) / np.linalg.norm(directions, axis=1)
+        directions = rng.standard_normal((_Nearer.sample, len(guess)))
+        lengths = distance * rng.random(_Nearer.sample) ** (1.0 / len(guess)) / np.linalg.norm(directions, axis=1)
         sampled = landscape(np.clip(guess + lengths[:, None] * directions, 0.0, 1.0))
         away = np.linalg.norm(sampled.points - found.points, axis=1) > 0.5 * distance
-        less = sampled.violation < _NEARER.violation * start.violation
+        less = sampled.violation < _Nearer.violation * start.violation
         promising = sampled.select(sampled.feasible | (away & less))
         if not len(promising.f):
             break
@@ -118,7 +114,7 @@ def _nearest_feasible(landscape: Landscape, start: Evaluations) -> Evaluations:
             (np.linalg.norm(promising.points - guess, axis=1), np.where(promising.feasible, 0.0, promising.violation))
         )
         again = nearest_feasible(landscape, guess, promising.points[order[0]])
-        if not (again.feasible[0] and np.linalg.norm(again.points[0] - guess) < _NEARER.distance * distance):
+        if not (again.feasible[0] and np.linalg.norm(again.points[0] - guess) < _Nearer.distance * distance):
             break
         found = again
     return found
@@ -140,30 +136,27 @@ def _far_feasible(landscape: Landscape, start: Vector) -> Evaluations:
 
 def _is_downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
     """Return whether the straight line from a start to an end crosses no barrier and does not end above the start."""
-    count = max(_BOXES.fewest_positions, int(_BOXES.positions_across * np.max(np.abs(end - start))))
+    count = max(_Boxes.fewest_positions, int(_Boxes.positions_across * np.max(np.abs(end - start))))
     fractions = np.linspace(0.0, 1.0, count)[:, None]
     merit = landscape(start + fractions * (end - start)).merit
-    return bool(largest_rise(merit) <= BASINS.barrier * abs(merit[0]))
+    return bool(largest_rise(merit) <= Basins.barrier * abs(merit[0]))
 
 
-class _LeastViolation(NamedTuple):
+class _Least:
     """Bounds of the search for the least violation, and what of it counts."""
 
-    violated: float = 1e-7  # A smaller violation, in units of the limit, is rounding.
-    holds: float = 1e-6  # A limit with a smaller scaled multiplier does not hold the design back.
+    violated: Final = 1e-7  # A smaller violation, in units of the limit, is rounding.
+    holds: Final = 1e-6  # A limit with a smaller scaled multiplier does not hold the design back.
     # IPOPT keeps a variable away from a bound by 1e-11 over its multiplier.
-    near_bound: float = 1e-5
-    starts: int = 8  # designs of the sample from which the least violation is searched
-    distance: float = 0.1  # smallest one between these, as a fraction of the range
-    most_polished: int = 3  # designs that go on to IPOPT
-    excess: float = 1e-3  # fraction of the least violation by which theirs may exceed it
+    near_bound: Final = 1e-5
+    starts: Final = 8  # designs of the sample from which the least violation is searched
+    distance: Final = 0.1  # smallest one between these, as a fraction of the range
+    most_polished: Final = 3  # designs that go on to IPOPT
+    excess: Final = 1e-3  # fraction of the least violation by which theirs may exceed it
     # Attempts to polish a design: the half width of the box it must stay in, and whether to use exact second
     # derivatives.
-    attempts: tuple[tuple[float, bool], ...] = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
-    higher: float = 1e-6  # The violation of a polished design may be larger by this fraction.
-
-
-_LEAST = _LeastViolation()
+    attempts: Final = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
+    higher: Final = 1e-6  # The violation of a polished design may be larger by this fraction.
 
 
 def feasible_from(landscape: Landscape, explored: Explored, start: Vector, limit: TimeLimit | None = None) -> Vector:
@@ -180,16 +173,16 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector, limit
     """
     sample = explored.sample
     order = np.argsort(sample.violation, kind="stable")[: np.count_nonzero(np.isfinite(sample.violation))]
-    starts = [start, *sample.points[apart(sample.points, order, _LEAST.distance, _LEAST.starts)]]
+    starts = [start, *sample.points[apart(sample.points, order, _Least.distance, _Least.starts)]]
     known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
         ends = explored.least_violating
         if not len(ends.f):
             ends = concatenated([least_violation(landscape, one) for one in starts])
         ends = ends.select(np.argsort(ends.violation, kind="stable"))
-        ends = ends.select(ends.violation <= (1.0 + _LEAST.excess) * ends.violation[0])
+        ends = ends.select(ends.violation <= (1.0 + _Least.excess) * ends.violation[0])
         starts, known = list(ends.points), ends.violation.tolist()
-    starts = starts[: _LEAST.most_polished]
+    starts = starts[: _Least.most_polished]
     program = landscape.program.with_steps(landscape.p, starts=starts)
     points, limit = list[tuple[Point, Vector]](), limit or TimeLimit("near")
     for one, violation in zip(starts, known, strict=False):
@@ -198,7 +191,7 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector, limit
         points.append(_polished(landscape, program, one, violation, limit))
     solved = [own for own in points if own[0].solved] or points
     best, short = min(solved, key=lambda own: own[0].f)
-    if best.f < _LEAST.violated:
+    if best.f < _Least.violated:
         return best.y
     raise _infeasible(program, best, short, landscape.designs_tried)
 
@@ -220,9 +213,9 @@ def _polished(
     p = landscape.p
     if not np.isfinite(violation):
         return program.solve_relaxed(y, p)
-    for box, exact in _LEAST.attempts:
+    for box, exact in _Least.attempts:
         point, short = program.solve_relaxed(y, p, box=box, exact=exact)
-        if point.solved and point.f <= (1.0 + _LEAST.higher) * violation + _LEAST.violated:
+        if point.solved and point.f <= (1.0 + _Least.higher) * violation + _Least.violated:
             return point, short
         if limit.passed("further attempts to meet the requirements"):
             break
@@ -243,7 +236,7 @@ def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequ
         InfeasibleDesign: no feasible design was found.
     """
     loose, short = program.solve_relaxed(start, p, fixed=fixed)
-    if loose.f >= _LEAST.violated:
+    if loose.f >= _Least.violated:
         raise _infeasible(program, loose, short)
     if len(fixed) < len(start):
         point = program.solve(loose.y, p, SolveOptions(near=len(fixed) > 0), fixed=fixed)
@@ -274,7 +267,7 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
     conflicts = {
         r.name: float(s * scale)
         for r, s, scale in zip(declared.requirements, short, program.scales, strict=True)
-        if s > _LEAST.violated
+        if s > _Least.violated
     }
     added = {r.name for r in declared.requirements if r.auxiliary}
     # A requirement that the program added is named only if no other fails.
@@ -284,12 +277,12 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
         for r, largest in zip(declared.requirements, multipliers, strict=True)
-        if largest > _LEAST.holds and not r.auxiliary and r.name not in conflicts
+        if largest > _Least.holds and not r.auxiliary and r.name not in conflicts
     ]
     for variable, y, multiplier in zip(declared.variables, point.y, point.lam_y, strict=True):
         # A box around the point may have held it instead.
-        at_bound = min(y, 1.0 - y) < _LEAST.near_bound
-        if abs(multiplier) > _LEAST.holds and at_bound and not variable.auxiliary:
+        at_bound = min(y, 1.0 - y) < _Least.near_bound
+        if abs(multiplier) > _Least.holds and at_bound and not variable.auxiliary:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)

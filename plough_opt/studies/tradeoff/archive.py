@@ -20,7 +20,7 @@ from plough_opt.design.confirmation import boxes, minimum_from, ranking_criterio
 from plough_opt.design.model.ipopt import REMEDIES, Point
 from plough_opt.design.search.effort import Search, effort_of, searched
 from plough_opt.design.search.explore import Explorer, Progress
-from plough_opt.design.search.landscape import BASINS, SEED, VIOLATION, Evaluations, Landscape, apart, evolved, sample
+from plough_opt.design.search.landscape import SEED, Basins, Evaluations, Landscape, Violation, apart, evolved, sample
 from plough_opt.design.search.local import descend, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
 from plough_opt.studies.tradeoff.front import (
@@ -130,7 +130,7 @@ class Archive:
         with np.errstate(all="ignore"):
             violations = self._landscape.violations(rows / np.array(program.scales)[np.array(program.owner)])
             violations[:, self._position] = 0.0
-            good = np.all(np.isfinite(objectives), axis=1) & (violations.sum(axis=1) <= VIOLATION.allowed)
+            good = np.all(np.isfinite(objectives), axis=1) & (violations.sum(axis=1) <= Violation.allowed)
         self._good.append((points[good], objectives[good]))
 
     @property
@@ -257,7 +257,7 @@ class Archive:
             return np.zeros(len(points), dtype=bool)
         scaled = self.front.scaled(objectives)
         return np.asarray(
-            np.any(medians - scaled > BASINS.needle * np.maximum(np.abs(scaled), self.front.span), axis=1)
+            np.any(medians - scaled > Basins.needle * np.maximum(np.abs(scaled), self.front.span), axis=1)
         )
 
 

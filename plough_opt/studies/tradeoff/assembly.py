@@ -17,7 +17,7 @@ from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress
 from plough_opt.design.confirmation import curvatures_at
 from plough_opt.design.model.ipopt import Point
-from plough_opt.design.model.optimality import ZERO
+from plough_opt.design.model.optimality import Zero
 from plough_opt.design.result.reporting import bounds_at, requirements_at
 from plough_opt.design.search.effort import Search
 from plough_opt.design.search.explore import notifier
@@ -195,7 +195,7 @@ def _weights(front: FrontProgram, candidate: FrontCandidate) -> tuple[float, ...
     point, p = candidate.inner_neighbour or (candidate.point, candidate.p)
     weights = front.weights_at(point, p) * front.span
     # If the position constraints are inactive, the weights are merely those with which the subproblem was posed.
-    if not front.position_decides(point) or np.any(weights < -ZERO.multiplier) or not weights[-1] > ZERO.multiplier:
+    if not front.position_decides(point) or np.any(weights < -Zero.multiplier) or not weights[-1] > Zero.multiplier:
         return None
     return tuple((weights / np.sum(weights) / (front.span * front.units)).tolist())
 

@@ -502,6 +502,22 @@ class Equation:
         return dict(zip(self.names, values, strict=True))
 
 
+class OfEquation:
+    """What belongs to an equation of motion."""
+
+    equation: Equation
+
+    @property
+    def structure(self) -> Structure:
+        """Terms that are on."""
+        return self.equation.structure
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the equation's parameters, without the duration."""
+        return self.equation.names
+
+
 class _SymbolicShare:
     """State of the share as symbols, and expressions that follow from it.
 

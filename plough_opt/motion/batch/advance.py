@@ -34,14 +34,14 @@ from plough_opt.core.expressions import Column, Expression, absolute, minimum, s
 from plough_opt.core.plain_data import Array
 from plough_opt.motion.batch.series import Graph, Series, Switch, series_of
 from plough_opt.motion.effects import StrengthWaves
-from plough_opt.motion.equation import Equation, Structure, parameters
+from plough_opt.motion.equation import Equation, OfEquation, parameters
 from plough_opt.motion.run import Averages
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.plan import rates
 
 
 @dataclass(frozen=True)
-class Layout:
+class Layout(OfEquation):
     """Positions in the columns of state and parameters.
 
     The parameters are those of the equation of motion, followed by the end of the tow ramp [s], the duration [s], the
@@ -68,19 +68,9 @@ class Layout:
         return cls(equation, len(graph.switches))
 
     @property
-    def structure(self) -> Structure:
-        """Terms that are on."""
-        return self.equation.structure
-
-    @property
     def orbit(self) -> bool:
         """Whether the motion is a periodic orbit."""
         return self.structure.orbit == "periodic"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the equation's parameters."""
-        return self.equation.names
 
     @property
     def known(self) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ from plough_opt.core.expressions import (
 from plough_opt.core.process import without_notices
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.effects.terms import Parameters
-from plough_opt.motion.equation import Equation, Structure, equation_of
+from plough_opt.motion.equation import Equation, OfEquation, Structure, equation_of
 from plough_opt.motion.methods import METHODS, Accuracy
 from plough_opt.motion.run import ARRAYS, Averages, Run
 from plough_opt.motion.scene import Scene
@@ -88,7 +88,7 @@ class Sized:
 
 
 @dataclass(frozen=True)
-class Integration:
+class Integration(OfEquation):
     """A run as a CasADi Function of the parameters ``names`` and, last, the duration [s].
 
     Its results are the states (w [m]; w' [m/s]) at the output times, a column each, the means of the `signals`, and the
@@ -101,16 +101,6 @@ class Integration:
     timeline: Timeline
     function: ca.Function
     sized: Sized | None = None
-
-    @property
-    def structure(self) -> Structure:
-        """Terms that are on."""
-        return self.equation.structure
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters before the duration."""
-        return self.equation.names
 
     @property
     def results(self) -> int:
@@ -415,7 +405,7 @@ _COARSE_STEPS = 10_000
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(OfEquation):
     """A numeric scene and a duration, prepared once for all integrations of them.
 
     Attributes:
@@ -458,11 +448,6 @@ class Case:
     def rate(self) -> float:
         """Angular frequency of the fastest oscillation, or rate of decay if that is faster [rad/s]."""
         return plan.rates_of(self.scene).fastest
-
-    @property
-    def structure(self) -> Structure:
-        """Terms that are on."""
-        return self.equation.structure
 
     @cached_property
     def column(self) -> list[float]:

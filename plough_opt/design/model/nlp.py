@@ -43,25 +43,18 @@ _GIVEN_RESULTS = "a run in a design cannot depend on the results of another run:
 
 
 @dataclass(frozen=True)
-class EmbeddedRun:
+class EmbeddedRun(Embedding):
     """A run inside a design's expressions.
 
     Attributes:
-        embedding: method, times, structure and scene of the run.
         inputs: its parameters, with the duration last, as expressions of the design's symbols.
         quantities: all quantities of its scene, as expressions of the design's symbols.
         outputs: its results in the graph: states, means, variances.
     """
 
-    embedding: Embedding
     inputs: ca.MX
     quantities: ca.MX
     outputs: tuple[ca.MX, ...]
-
-    @property
-    def integration(self) -> Integration:
-        """Method, times and structure of the run."""
-        return self.embedding.integration
 
 
 @dataclass(frozen=True)
@@ -150,7 +143,7 @@ def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[object, ca
             labels[hash(node)] = (meaning, node)
         elif (run := embedding_of(node.which_function())) is not None:
             outputs = tuple(node.get_output(i) for i in range(run.integration.function.n_out()))
-            runs[hash(node)] = EmbeddedRun(run, node.dep(0), node.dep(1), outputs)
+            runs[hash(node)] = EmbeddedRun(run.integration, run.template, node.dep(0), node.dep(1), outputs)
     return list(runs.values()), list(labels.values())
 
 
@@ -211,7 +204,7 @@ def _constant(values: Sequence[ca.MX]) -> float | None:
 def _scenes(parts: Split) -> Iterator[tuple[Scene, ca.MX]]:
     """Yield the template of each scene, and a column of its quantities and duration."""
     for run in parts.runs:
-        yield run.embedding.template, ca.vertcat(run.quantities, run.inputs[-1])
+        yield run.template, ca.vertcat(run.quantities, run.inputs[-1])
     for meaning, carried in parts.labels:
         given = meaning.template[0][:1] if isinstance(meaning, Call) else (meaning,)
         for scene in given:

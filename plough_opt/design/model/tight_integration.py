@@ -71,7 +71,7 @@ class TightEvaluation:
         # Scenes and calls by their templates. Own laws and profiles take no arrays.
         alike: dict[int, tuple[Any, Callable[[Any], object], list[ca.MX]]] = {}
         self._checked_alike = True
-        for meaning, carried in (*((run.embedding.template, run.quantities) for run in parts.runs), *parts.labels):
+        for meaning, carried in (*((run.template, run.quantities) for run in parts.runs), *parts.labels):
             if isinstance(meaning, Scene):
                 self._checked_alike &= not has_own_law(meaning) and meaning.soil.density_profile is None
                 alike.setdefault(id(meaning), (meaning, Scene.check_reaction, []))[2].append(ca.vec(carried))
@@ -106,7 +106,7 @@ class TightEvaluation:
             DomainError: the scene lies outside the model's domain.
         """
         parameters, quantities = self.given(run, numbers)
-        return parameters, with_numbers(self.runs[run].embedding.template, quantities.tolist())
+        return parameters, with_numbers(self.runs[run].template, quantities.tolist())
 
     def given(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Vector]:
         """Return a run's parameters, with the duration last, and its scene's quantities at numbers."""

@@ -456,7 +456,7 @@ class NonlinearProgram:
         declared, owner = program.declared, np.array(program.owner, dtype=int)
         n = len(declared.variables)
         x, symbols = ca.MX.sym("x", n), ca.MX.sym("p", len(p))
-        f, g = program.nlp.values(x, symbols)
+        f, g = program.built.nlp.values(x, symbols)
         return cls(
             {"x": x, "p": symbols, "f": f, "g": g},
             program.start(),

@@ -49,7 +49,7 @@ def _close(found, wanted, relative):
 
 def _evaluations(program, y, *, by_ad=False):
     """Return objective, requirements, gradient, Jacobian and Hessian at a point, with a multiplier for every row."""
-    p, nlp = np.array([q.value for q in program.declared.parameters]), program.nlp
+    p, nlp = np.array([q.value for q in program.declared.parameters]), program.built.nlp
     multipliers = 0.7, np.cos(1.0 + np.arange(len(program.owner)))
     if by_ad:
         return _whole_by_ad(program)(y, p, *multipliers)
@@ -386,7 +386,7 @@ def test_derivatives_of_the_program_are_those_of_differences(build, name, accura
     program = Program.of(declared).with_steps(np.array([]))
     assert program.built.steps == [steps]
     for y in (0.2, 0.8):
-        check_derivatives(program.nlp, np.array([y]), [], 1e-8, 1e-7, step=1e-3)
+        check_derivatives(program.built.nlp, np.array([y]), [], 1e-8, 1e-7, step=1e-3)
 
 
 # --- scenes and designs in soil with a density profile, whose parameters are fixed, given per solve, or variables ---

@@ -169,11 +169,11 @@ def _path(count):
 
 def test_derivatives_against_differences():
     # The measures' third derivatives jump where a sample enters a width: differences lose digits there.
-    check_derivatives(_path(6).nlp, np.array([0.61, 0.43, 0.37]), np.zeros(0), 1e-7, 1e-6)
+    check_derivatives(_path(6).built.nlp, np.array([0.61, 0.43, 0.37]), np.zeros(0), 1e-7, 1e-6)
 
 
 def test_the_graph_of_the_derivatives_does_not_grow_with_the_samples():
-    sizes = [_path(count).nlp.slopes.n_instructions() for count in (4, 12)]
+    sizes = [_path(count).built.nlp.slopes.n_instructions() for count in (4, 12)]
     assert sizes[0] == sizes[1]
 
 

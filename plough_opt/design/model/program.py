@@ -313,11 +313,6 @@ class Program:
         return self._built
 
     @property
-    def nlp(self) -> Nlp:
-        """Objective and requirements as functions, with the program's numbers of integration steps."""
-        return self.built.nlp
-
-    @property
     def population(self) -> Population:
         """Evaluates objective and requirements, unscaled, at many scaled designs at once."""
         return cached(self._caches.population, None, self._write_population)
@@ -423,7 +418,7 @@ class Program:
         Returns:
             The point, and the scaled violation of each requirement there; their sum is least.
         """
-        g = np.asarray(self.nlp.values(start, p)[1]).ravel()
+        g = np.asarray(self.built.nlp.values(start, p)[1]).ravel()
         slack = first_slack(g, (self.low, self.high), self.owner)
         # Limits of theories are kept: beyond them the model has no value.
         count, n = len(self.declared.requirements), len(start)

@@ -126,7 +126,7 @@ def _warnings_at(program: Program, numbers: Sequence[float], runs: Sequence[tupl
         else:
             moving += repeat(scene, float(parameters[-1])).warnings
     still = program.exact.quasi_static_scenes(numbers)
-    slow = (interpretation_warning(),) if program.compiled and program.nlp is program.built.plain else ()
+    slow = (interpretation_warning(),) if program.compiled and program.built.nlp is program.built.plain else ()
     return (*slow, *without_repetition([*moving, *(text for scene in still for text in scene.warnings())]))
 
 

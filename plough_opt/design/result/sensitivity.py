@@ -315,7 +315,7 @@ class Solved:
                 low[side.row] += step * side.per_unit
             if side.sign < 0.0 or side.equality:
                 high[side.row] += step * abs(side.per_unit)
-        solver = Solver(program.nlp, low, high, program.ipopt)
+        solver = Solver(program.built.nlp, low, high, program.ipopt)
         point = solver.solve(np.clip(self._active.y, lower, upper), p, lower, upper, SolveOptions(near=True))
         if not point.solved:
             raise NotConverged(f"the check could not solve the design near the value: {point.status}", point.status)

@@ -378,7 +378,7 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
 
     Its multipliers have not converged: those of limits that the design does not touch are noise.
     """
-    g = np.asarray(program.nlp.values(point.y, p)[1]).ravel()
+    g = np.asarray(program.built.nlp.values(point.y, p)[1]).ravel()
     touches = program.margins(g) <= Zero.margin
     at_bound = np.minimum(point.y, 1.0 - point.y) <= Zero.margin
     lam_g, lam_y = np.where(touches, point.lam_g, 0.0), np.where(at_bound, point.lam_y, 0.0)
@@ -393,7 +393,7 @@ def highest_accepted(program: Program, p: Vector, start: Vector) -> float:
 
 def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
     """Return the scaled objective, and the largest scaled violation; infinite if the design cannot be evaluated."""
-    f, g = (np.asarray(result).ravel() for result in program.nlp.values(y, p))
+    f, g = (np.asarray(result).ravel() for result in program.built.nlp.values(y, p))
     valid = np.all(np.isfinite(f)) and np.all(np.isfinite(g)) and not program.refuses(y, p)
     return float(f[0]), program.violation(g) if valid else np.inf
 

@@ -259,9 +259,9 @@ def _polished(program: Program, p: Array, point: Point) -> tuple[Array, float, f
     """Return scaled variables on the active limits, the residual of the conditions there, and the next step."""
     y, n = point.y, len(point.y)
     slopes = _tight_slopes(program, p, y)
-    g = np.asarray(program.nlp.values(y, p)[1]).ravel()
+    g = np.asarray(program.built.nlp.values(y, p)[1]).ravel()
     active, limits = _active_limits(program, point, g)
-    hessian = symmetric(np.asarray(program.nlp.hess_lag(y, p, 1.0, point.lam_g)))
+    hessian = symmetric(np.asarray(program.built.nlp.hess_lag(y, p, 1.0, point.lam_g)))
     best = (y, np.inf, np.inf)
     for _ in range(_MOST_NEWTON_STEPS):
         gradient, g, jacobian = (np.asarray(result) for result in slopes(y))

@@ -68,11 +68,6 @@ class Layout(OfEquation):
         return cls(equation, len(graph.switches))
 
     @property
-    def orbit(self) -> bool:
-        """Whether the motion is a periodic orbit."""
-        return self.structure.orbit == "periodic"
-
-    @property
     def known(self) -> tuple[str, ...]:
         """Names of all parameters of the terms; events, which a batch does not have, would change the mass."""
         return tuple(name for name in self.structure.names if name != "mass")

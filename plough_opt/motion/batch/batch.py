@@ -218,7 +218,7 @@ class Batch:
             "quantities": function_of_column("quantities", symbols, stacked(*varying, duration)),
             "setup": setup(self._layout, scene, duration, symbols, error),
         }
-        if self._layout.orbit:
+        if scene.effects.orbit == "periodic":
             p, q = ca.SX.sym("p", len(self._layout.names) + 1), ca.SX.sym("q", 8)
             functions["near"] = ca.Function("near", [p], [ca.vertcat(*near_orbit(self._layout.equation)(p))])
             missed = ellipse_after(ca.vertsplit(q[:3]), _UNMOVED, q[3])
@@ -240,7 +240,7 @@ class Batch:
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the batch as a whole."""
         settles = "whether a share from equilibrium comes to an orbit is unknown: a batch does not follow it there"
-        followed = (f"{settles}, as po.simulate does",) if self._layout.orbit else ()
+        followed = (f"{settles}, as po.simulate does",) if self._layout.structure.orbit == "periodic" else ()
         if self.compiled:
             return followed
         return (
@@ -367,7 +367,7 @@ class Batch:
         p, known = np.ascontiguousarray(prepared[:count]), dict(zip(layout.known, prepared[count + 1 :], strict=True))
         states, largest = np.zeros((layout.states, p.shape[1])), np.full(p.shape[1], np.nan)
         states[2] = layout.structure.start_rate(known)
-        if self._layout.orbit:
+        if layout.structure.orbit == "periodic":
             states, largest = self._on_orbits(p, key)
         steps = self._run(p, states, key)
         results = np.empty((len(RESULTS) + 3, p.shape[1]))
@@ -422,7 +422,7 @@ class Batch:
             description = scene.describe()
         except PloughError as error:  # such as a density profile without a compaction front
             return str(error)
-        if self._layout.orbit and steps < _MOST_TAYLOR_STEPS:
+        if scene.effects.orbit == "periodic" and steps < _MOST_TAYLOR_STEPS:
             return without_orbit(scene)
         if steps >= _MOST_TAYLOR_STEPS:
             return (

@@ -289,9 +289,7 @@ def _variant(problem: Problem, given: Mapping[str, Any], x: Any, changes: Mappin
     moves, structure = scene.effects.motion, Structure.of(scene)
     equation = equation_of(structure) if moves else None
     states, count, squared = (equation.states, equation.count, equation.squared) if equation else (2, 0, 0)
-    time, state, five = (
-        kind.sym(name, size) for name, size in (("time", 1), ("state", states), ("five", len(AVERAGES)))
-    )
+    time, state, five = kind.sym("time"), kind.sym("state", states), kind.sym("five", len(AVERAGES))
     means, variances = kind.sym("means", count), kind.sym("variances", squared)
     with unlabelled():
         p = parameters(scene)

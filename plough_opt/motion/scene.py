@@ -419,10 +419,8 @@ class Scene:
         """
         at = "at" if self.effects.tow_profile is None else "at up to"
         spring = " of a repelling spring, as printed," if self.effects.printed.repelling_spring else ""
-        angle, height, stiffness, inertia, speed = (
-            float(as_number(value))
-            for value in (self.cone.half_angle, self.cone.height, self.stiffness, self.inertia, self.tow_speed)
-        )
+        given = (self.cone.half_angle, self.cone.height, self.stiffness, self.inertia, self.tow_speed)
+        angle, height, stiffness, inertia, speed = (float(as_number(value)) for value in given)
         return (
             f"share of half angle {math.degrees(angle):.3g} deg and height {height:.3g} m in {self.soil.name}, on"
             f" {stiffness / 1e3:.4g} kN/m{spring} with {inertia:.3g} kg {at} {speed:.3g} m/s"

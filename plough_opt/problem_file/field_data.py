@@ -281,9 +281,7 @@ def course_of_file(source: Source) -> SpeedProfile | None:
             raise InputError(f"= {shown(written)} must be a speed, or {_COURSE}")
         if len(columns[0]) != len(columns[1]):
             raise InputError(f"has {len(columns[0])} times and {len(columns[1])} speeds: give as many of both")
-        times, speeds = (
-            [Unit(unit).parse(x) for x in column] for unit, column in zip(("s", "m/s"), columns, strict=True)
-        )
+        times, speeds = ([*map(Unit(unit).parse, own)] for unit, own in zip(("s", "m/s"), columns, strict=True))
         largest, profile = profile_of((times, speeds), times[-1])
         if source.written("scene.average") == "whole waves":
             raise InputError('varies, and average = "whole waves" needs a constant speed: remove one of the two')

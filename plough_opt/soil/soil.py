@@ -283,10 +283,8 @@ class Soil:
             >>> [warning.rpartition(" by ")[2] for warning in measured.warnings()]
             ['5.737']
         """
-        warned = []
-        cohesion, ratio, factor = (
-            np.max(as_number(value)) for value in (self.cohesion, self.density_ratio, self.strength_factor)
-        )
+        warned, given = [], (self.cohesion, self.density_ratio, self.strength_factor)
+        cohesion, ratio, factor = (np.max(as_number(value)) for value in given)
         if cohesion > _MOST_COHESION:
             most = f"{_MOST_COHESION / 1e3:g} kPa at most"
             warned.append(f"a cohesion of {cohesion / 1e3:.4g} kPa is more than soils have ({most})")

@@ -459,8 +459,7 @@ class StrengthRecord:
         if np.any(np.diff(x) <= 0.0):
             place = int(np.argmax(np.diff(x) <= 0.0)) + 1
             raise InputError(f"{name}: positions must increase, but {x[place]:g} m follows {x[place - 1]:g} m")
-        for key, given in (("position", x), ("value", y), ("rig", rig), ("name", name)):
-            object.__setattr__(self, key, given)
+        vars(self).update(position=x, value=y, rig=rig, name=name)
         if len(x) > _MOST_UNEVEN and not self.even:
             raise InputError(f"{name}: {len(x)} points at uneven distances: make them even, or at most {_MOST_UNEVEN}")
 

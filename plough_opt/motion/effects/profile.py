@@ -74,8 +74,7 @@ class SpeedProfile:
     def __post_init__(self) -> None:
         for name in ("times", "pieces"):
             check_kind(f"{name} of a speed profile", getattr(self, name), Sequence | np.ndarray, "a list")
-        object.__setattr__(self, "times", tuple(self.times))
-        object.__setattr__(self, "pieces", tuple(map(_numbers, self.pieces)))
+        vars(self).update(times=tuple(self.times), pieces=tuple(map(_numbers, self.pieces)))
         times = array_of(self.times, "the times of a speed profile, {}, must be numbers [s]")
         if not (times.ndim == 1 and len(times) > 1 and times[0] == 0.0 and np.all(np.diff(times) > 0.0)):
             raise InputError(f"the times of a speed profile, {shown(self.times)}, must rise from 0: at least two")

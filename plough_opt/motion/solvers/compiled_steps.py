@@ -96,11 +96,10 @@ class CompiledSteps:
         """
         outputs, averages = timelines[0].outputs, self.equation.averages
         given, (tables, _) = [*self._given(p, *timelines), *known], _tables(timelines)
-        count = _ROWS * (outputs + 1)
         work = np.empty(len(given) + _room(given[len(p) + 2]) + 4 * (outputs + 1) + 2 * averages)
         work[: len(given)] = given
+        count, at = _ROWS * (outputs + 1), work.ctypes.data
         found = np.empty(count + 2 * (averages + _ROWS))
-        at = work.ctypes.data
         sound = self.library.pair(at, outputs, *tables, at + work.itemsize * len(given), found.ctypes.data)
         rows, ends = found[:count].reshape(_ROWS, -1), found[count:].reshape(2, -1)
         return (rows, ends[:, averages:], ends[:, :averages]) if sound else None

@@ -605,8 +605,7 @@ def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run
 def _attempt(function: Any, *inputs: list[float] | Array) -> Results | None:
     """Return the results of an integration's Function, or None if it failed or they are not finite."""
     given = [np.array(values) for values in inputs]
-    untyped: Any = function.buffer()  # CasADi's type stubs do not accept arrays
-    buffer, evaluate = untyped
+    buffer, evaluate = function.buffer()  # CasADi's type stubs do not accept arrays
     for k, values in enumerate(given):
         buffer.set_arg(k, values.data)
     # CasADi does not write a result that is zero by structure.

@@ -541,10 +541,8 @@ def held_out(fit: Estimate, part: float, by: str | None, seed: int) -> tuple[Est
     unknowns = fit.setup.problem.unknowns
     least = unknowns + (0 if fit.normal else 1)
     if fit.data.count - len(held) < least:
-        few = (
-            f"holding out {len(held)} of {len(order)} rows leaves fewer than the {least} that {unknowns} unknowns need"
-        )
-        raise InputError(f"{few}: hold out a smaller part, or measure more")
+        few = f"holding out {len(held)} of {len(order)} rows leaves fewer than the {least} that {unknowns} unknowns"
+        raise InputError(f"{few} need: hold out a smaller part, or measure more")
     # The other rows choose their own starts, so that nothing of the rows held out enters.
     without = _without(fit, held, fit.setup.model.guess, starts=4)
     weights = fit.setup.data.at(without.predicted).weights

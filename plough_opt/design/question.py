@@ -453,8 +453,7 @@ class NonlinearProgram:
     def of(cls, program: Program, p: Vector) -> NonlinearProgram:
         """Return the program of a design, with as many integration steps as its guess and bounds need."""
         program = program.with_steps(p)
-        declared, owner = program.declared, np.array(program.owner, dtype=int)
-        n = len(declared.variables)
+        declared, n = program.declared, len(program.declared.variables)
         x, symbols = ca.MX.sym("x", n), ca.MX.sym("p", len(p))
         f, g = program.built.nlp.values(x, symbols)
         return cls(
@@ -466,8 +465,8 @@ class NonlinearProgram:
             program.high,
             p,
             program.objective_scale,
-            np.array(program.scales)[owner],
-            tuple(declared.requirements[k].name for k in owner),
+            program.row_scales,
+            tuple(declared.requirements[k].name for k in program.owner),
             declared,
         )
 

@@ -227,6 +227,11 @@ class Program:
         """Number of each requirement's first row."""
         return [int(k) for k in np.flatnonzero(np.diff(np.array(self.owner, dtype=int), prepend=-1))]
 
+    @cached_property
+    def row_scales(self) -> Vector:
+        """Divisor of each row of the requirements."""
+        return np.array([self.scales[k] for k in self.owner])
+
     def margins(self, g: Vector) -> Vector:
         """Return the scaled distance of each row of the requirements from its limit, positive inside."""
         return np.minimum(g - self.low, self.high - g)

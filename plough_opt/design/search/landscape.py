@@ -133,8 +133,7 @@ class Landscape:
         """Create the landscape of a program whose scales are set; ``held`` are numbers of variables to keep."""
         self.program, self.p, self.held = program, p, held
         self.dimensions = len(program.declared.variables)
-        self._scale = np.array(program.scales)[np.array(program.owner, dtype=int)]
-        self.objective_scale = program.objective_scale
+        self._scale, self.objective_scale = program.row_scales, program.objective_scale
         self.vectorised = program.population.vectorised
         self.designs_tried = 0
 

@@ -128,7 +128,7 @@ class Archive:
         """Add the designs that have a value and meet the design's own requirements."""
         program = self.front.program
         with np.errstate(all="ignore"):
-            violations = self._landscape.violations(rows / np.array(program.scales)[np.array(program.owner)])
+            violations = self._landscape.violations(rows / program.row_scales)
             violations[:, self._position] = 0.0
             good = np.all(np.isfinite(objectives), axis=1) & (violations.sum(axis=1) <= Violation.allowed)
         self._good.append((points[good], objectives[good]))

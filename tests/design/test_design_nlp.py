@@ -475,7 +475,7 @@ def test_each_operation_on_many_designs_is_what_casadi_finds_one_by_one(count, c
         monkeypatch.setattr(rows, "_library", lambda: None)
     function = ca.Function("operations", [*SYMBOLS], [ca.densify(OPERATIONS), U + ca.log(V - W)])
     x, p = (np.random.default_rng(2).uniform(0.01, 0.99, (count, size)) for size in (3, 2))
-    for number, found in enumerate(rows.RowFunction(function)(x, p)):
+    for number, found in enumerate(rows.by_rows(function)(x, p)):
         alone = [np.asarray(function(*own)[number]).ravel() for own in zip(x, p, strict=True)]
         # The vector library is right to 4 units in the last place, and cancellation adds to that.
         assert found == pytest.approx(np.array(alone), rel=1e-14, abs=1e-15, nan_ok=True)

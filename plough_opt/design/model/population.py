@@ -21,7 +21,7 @@ from plough_opt.design.model.nlp import (
     has_own_law,
     holds_maps,
 )
-from plough_opt.design.model.rows import RowFunction
+from plough_opt.design.model.rows import by_rows
 from plough_opt.motion.solvers.compiled_steps import ManyRuns
 from plough_opt.motion.solvers.integrators import Integration, integration
 
@@ -166,9 +166,9 @@ class Population:
         self._groups = [self._group(parts, members, key) for key, members in members_by_key.items()]
         inputs = [ca.horzcat(*(parts.runs[k].inputs for k in group.members)) for group in self._groups]
         given = ca.Function("inputs", [y, p], [ca.densify(one) for one in inputs])
-        self._inputs = RowFunction(given if holds_maps(given) else given.expand())
-        self._algebra = RowFunction(_algebra_of_groups(full, parts, self._groups))
-        self._rows = self._algebra.function.numel_out(1)
+        self._inputs = by_rows(given if holds_maps(given) else given.expand())
+        algebra = _algebra_of_groups(full, parts, self._groups)
+        self._algebra, self._rows = by_rows(algebra), algebra.numel_out(1)
         self._own_laws = SceneChecks(parts, [y, p], has_own_law)
 
     def _group(self, parts: Split, members: list[int], key: object) -> _Group:
@@ -184,7 +184,7 @@ class Population:
         if run.integration.structure.orbit == "linearised":
             closed = run.integration.function
             p = ca.MX.sym("p", closed.numel_in(0))
-            rows = RowFunction(ca.Function("rows", [p], [ca.densify(ca.veccat(*closed.call([p])))]))
+            rows = by_rows(ca.Function("rows", [p], [ca.densify(ca.veccat(*closed.call([p])))]))
             return _Group(tuple(members), lambda theta, **_: rows(theta)[0], run.integration.results)
         self.vectorised = False
         solver = _rough_integration(run) if self._rough else run.integration

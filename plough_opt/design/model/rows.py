@@ -20,25 +20,15 @@ _WIDE, _WIDEST = 16, 8
 _MAPS = 32
 
 
-class RowFunction:
-    """A Function of dense columns, evaluated at many designs at once; arguments and results have a row for each.
+def by_rows(function: ca.Function) -> Callable[..., list[Array]]:
+    """Return a Function of dense columns for many designs at once, with a row for each in arguments and results.
 
     A library reads the list of a Function's scalar operations and executes each for 16 designs at a time. CasADi's
     `map`, which takes several times as long, replaces it without a compiler, and for Functions that are not in scalar
     operations or contain one that the library lacks.
-
-    Attributes:
-        function: the Function.
     """
-
-    def __init__(self, function: ca.Function) -> None:
-        """Take the Function."""
-        self.function = function
-        self._call = _in_vectors(function) or _by_map(function)
-
-    def __call__(self, *arguments: Array) -> list[Array]:
-        """Return the results."""
-        return self._call([np.ascontiguousarray(argument, dtype=float) for argument in arguments])
+    call = _in_vectors(function) or _by_map(function)
+    return lambda *arguments: call([np.ascontiguousarray(argument, dtype=float) for argument in arguments])
 
 
 def _by_map(function: ca.Function) -> Callable[[list[Array]], list[Array]]:

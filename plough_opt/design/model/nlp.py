@@ -160,39 +160,36 @@ def has_own_law(scene: Scene) -> bool:
     return is_own(type(scene.law))
 
 
-class SceneChecks:
-    """Checks of all scenes in some expressions, or of those that a condition selects."""
+def refusals(
+    parts: Split, symbols: Sequence[ca.MX], selected: Callable[[Scene], bool] = lambda _: True
+) -> Callable[..., dict[int, str]]:
+    """Return a function for the refusals of all scenes in split expressions, or of those that a condition selects.
 
-    def __init__(
-        self, parts: Split, symbols: Sequence[ca.MX], selected: Callable[[Scene], bool] = lambda _: True
-    ) -> None:
-        """Take the split expressions, their symbols (columns), and the condition."""
-        # Runs that share a template are checked together.
-        columns: dict[int, tuple[Scene, list[ca.MX]]] = {}
-        for template, column in _scenes(parts):
-            if selected(template):
-                columns.setdefault(id(template), (template, []))[1].append(column)
-        self._checks: list[tuple[DomainCheck, ca.Function]] = []
-        for template, own in columns.values():
-            rows = list(zip(*map(ca.vertsplit, own), strict=True))
-            fixed = [_constant(row) for row in rows[:-1]]
-            varying = [ca.horzcat(*row) for row, number in zip(rows, [*fixed, None], strict=True) if number is None]
-            quantities = ca.Function("quantities", list(symbols), [ca.densify(ca.vertcat(*varying))])
-            self._checks.append((DomainCheck(template, fixed), quantities))
+    It takes values of each symbol (a column), with a row for each design, and returns number -> reason of every design
+    with a scene outside the model's domain; ``declared`` is as in `DomainCheck.reasons`.
+    """
+    # Runs that share a template are checked together.
+    columns: dict[int, tuple[Scene, list[ca.MX]]] = {}
+    for template, column in _scenes(parts):
+        if selected(template):
+            columns.setdefault(id(template), (template, []))[1].append(column)
+    checks: list[tuple[DomainCheck, ca.Function]] = []
+    for template, own in columns.values():
+        rows = list(zip(*map(ca.vertsplit, own), strict=True))
+        fixed = [_constant(row) for row in rows[:-1]]
+        varying = [ca.horzcat(*row) for row, number in zip(rows, [*fixed, None], strict=True) if number is None]
+        quantities = ca.Function("quantities", list(symbols), [ca.densify(ca.vertcat(*varying))])
+        checks.append((DomainCheck(template, fixed), quantities))
 
-    def reasons(self, *rows: Vector, declared: bool = True) -> dict[int, str]:
-        """Return number -> reason of every design with a scene outside the model's domain.
+    def reasons(*rows: Vector, declared: bool = True) -> dict[int, str]:
+        found: dict[int, str] = {}
+        for check, quantities in checks:
+            given = np.asarray(quantities.map(len(rows[0]))(*(row.T for row in rows)))
+            for k, reason in check.reasons(given, declared=declared).items():
+                found.setdefault(k // quantities.size2_out(0), reason)
+        return found
 
-        Args:
-            rows: values of each symbol, a row for each design.
-            declared: as in `DomainCheck.reasons`.
-        """
-        reasons: dict[int, str] = {}
-        for check, quantities in self._checks:
-            found = np.asarray(quantities.map(len(rows[0]))(*(row.T for row in rows)))
-            for k, reason in check.reasons(found, declared=declared).items():
-                reasons.setdefault(k // quantities.size2_out(0), reason)
-        return reasons
+    return reasons
 
 
 def _constant(values: Sequence[ca.MX]) -> float | None:

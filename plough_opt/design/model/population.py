@@ -12,15 +12,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
 from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Vector
-from plough_opt.design.model.nlp import (
-    EmbeddedRun,
-    SceneChecks,
-    Split,
-    algebra_of,
-    averages_only,
-    has_own_law,
-    holds_maps,
-)
+from plough_opt.design.model.nlp import EmbeddedRun, Split, algebra_of, averages_only, has_own_law, holds_maps, refusals
 from plough_opt.design.model.rows import by_rows
 from plough_opt.motion.solvers.compiled_steps import ManyRuns
 from plough_opt.motion.solvers.integrators import Integration, integration
@@ -169,7 +161,7 @@ class Population:
         self._inputs = by_rows(given if holds_maps(given) else given.expand())
         algebra = _algebra_of_groups(full, parts, self._groups)
         self._algebra, self._rows = by_rows(algebra), algebra.numel_out(1)
-        self._own_laws = SceneChecks(parts, [y, p], has_own_law)
+        self._own_laws = refusals(parts, [y, p], has_own_law)
 
     def _group(self, parts: Split, members: list[int], key: object) -> _Group:
         if isinstance(key, tuple):
@@ -220,7 +212,7 @@ class Population:
             results.append(found.transpose(1, 0, 2).reshape(n, -1))
         f, g = self._algebra(*given, *results)
         # A user's law may refuse numbers although its expressions have values.
-        f[[*self._own_laws.reasons(*given, declared=False)]] = np.nan
+        f[[*self._own_laws(*given, declared=False)]] = np.nan
         return f.ravel(), g
 
 

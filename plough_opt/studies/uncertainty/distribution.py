@@ -35,7 +35,7 @@ from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.design import Optimum
-from plough_opt.design.model.nlp import SceneChecks, split
+from plough_opt.design.model.nlp import refusals, split
 from plough_opt.design.model.population import Population
 from plough_opt.soil.soil import Soil
 
@@ -155,7 +155,7 @@ class Responses:
         none = ca.MX.sym("none", 0)
         parts = split([column[0], column], [self._y, none])
         self._population = Population(parts, self._y, none, rough=False)
-        self._checks = SceneChecks(parts, [self._y])
+        self._refusals = refusals(parts, [self._y])
 
     def __call__(self, at: Optimum | Mapping[str, float], samples: SoilSamples) -> ResponseValues:
         """Return the results for each soil at a design.
@@ -166,7 +166,7 @@ class Responses:
         """
         design = [_number(at, symbol) for symbol in self._design]
         rows = np.hstack([np.tile(design, (len(samples), 1)), samples.values])
-        failures = self._checks.reasons(rows)
+        failures = self._refusals(rows)
         _, values = self._population(rows, np.empty(0), finer=_MORE_STEPS)
         for bad in np.flatnonzero(~np.all(np.isfinite(values), axis=1)):
             failures.setdefault(int(bad), "a result is not a finite number")

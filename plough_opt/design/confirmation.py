@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,22 +233,19 @@ Judge = Literal["tolerance", "bare"]
 """What optima are ranked by: the median objective over the tolerance box, or the objective itself."""
 
 
-class BoxSample(NamedTuple):
+class BoxSample:
     """The sample of a tolerance box."""
 
-    designs: int = 64
-    seed: int = 64
+    designs: Final = 64
+    seed: Final = 64
     # Of a solve over the box: most runs of all designs together, which then take seconds, and fewest designs.
-    most_runs: int = 64
-    fewest: int = 8
-
-
-BOX = BoxSample()
+    most_runs: Final = 64
+    fewest: Final = 8
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Objective and margins of a design within its tolerances, from a sample of `BOX.designs` designs.
+    """Objective and margins of a design within its tolerances, from a sample of `BoxSample.designs` designs.
 
     Attributes:
         median: median objective of the designs that can be evaluated.
@@ -316,8 +313,8 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     best = int(np.argmin(median))
     broad = ~_too_high(landscape, median, own)
     with np.errstate(invalid="ignore"):
-        # For a normal distribution it is 1.25 sigma/sqrt(n), and the interquartile range is 1.35 sigma.
-        error = 1.25 / math.sqrt(BOX.designs) / 1.35 * np.where(np.isfinite(high), high - low, np.inf)
+        # For a normal distribution the median's error is 1.25 sigma/sqrt(n), and the interquartile range is 1.35 sigma.
+        error = 1.25 / math.sqrt(BoxSample.designs) / 1.35 * np.where(np.isfinite(high), high - low, np.inf)
         equal = broad & (median - median[best] <= 2.0 * np.hypot(error, error[best]))
     equal[best] = True
     return sorted(range(len(points)), key=lambda k: (not equal[k], own[k] if equal[k] else median[k]))
@@ -356,9 +353,9 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     landscape, y = _as_made(landscape), y[: landscape.dimensions]
     program = landscape.program
     n = len(program.declared.variables)
-    designs = boxes(program.declared.variables, y[None], np.vstack([unit_box(n), corners(n, BOX.designs)]))
+    designs = boxes(program.declared.variables, y[None], np.vstack([unit_box(n), corners(n, BoxSample.designs)]))
     _, f, g = landscape.rows_after_elimination(designs, finer=FINER)
-    everywhere, g_everywhere, f, g = np.isfinite(f), g, f[: BOX.designs], g[: BOX.designs]
+    everywhere, g_everywhere, f, g = np.isfinite(f), g, f[: BoxSample.designs], g[: BoxSample.designs]
     valid = np.isfinite(f)
     scale = landscape.objective_scale
     values = f[valid] * scale if np.any(valid) else np.array([objective])
@@ -396,4 +393,4 @@ def corners(n: int, most: int) -> Vector:
 @lru_cache(maxsize=16)
 def unit_box(n: int) -> Vector:
     """Return the designs sampled in the unit box, a row each. The first 2^k of them are evenly spread, too."""
-    return sobol_points(n, BOX.designs, np.random.default_rng(BOX.seed))
+    return sobol_points(n, BoxSample.designs, np.random.default_rng(BoxSample.seed))

@@ -19,7 +19,7 @@ import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign, NotConverged
 from plough_opt.core.expressions import Column
-from plough_opt.design.confirmation import BOX, boxes, corners, unit_box
+from plough_opt.design.confirmation import BoxSample, boxes, corners, unit_box
 from plough_opt.design.declarations import Declarations, Requirement, Variable
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.nlp import split
@@ -238,8 +238,8 @@ def designs_per_box(declared: Declarations) -> int:
     parts = split(declared.expressions(), declared.symbols())
     runs = max(1, len(parts.runs))
     if not all(run.integration.structure.stepped for run in parts.runs):
-        return BOX.fewest
-    return max(BOX.fewest, min(BOX.designs, 1 << int(math.log2(max(1, BOX.most_runs // runs)))))
+        return BoxSample.fewest
+    return max(BoxSample.fewest, min(BoxSample.designs, 1 << int(math.log2(max(1, BoxSample.most_runs // runs)))))
 
 
 def bounds_on_worst(made: Landscape) -> tuple[float, float]:
@@ -249,10 +249,10 @@ def bounds_on_worst(made: Landscape) -> tuple[float, float]:
         made: landscape of the bare design, in which no variable is solved for.
     """
     landscape = Landscape(made.program, made.p)
-    sampled = evaluated_sample(landscape, _Cuts.sample if landscape.vectorised else BOX.fewest)
+    sampled = evaluated_sample(landscape, _Cuts.sample if landscape.vectorised else BoxSample.fewest)
     valid = np.flatnonzero(np.isfinite(sampled.f))
     inside = made(boxes(made.program.declared.variables, sampled.points[valid]))
-    worst, violation = (part.reshape(-1, BOX.designs).max(axis=1) for part in (inside.f, inside.violation))
+    worst, violation = (part.reshape(-1, BoxSample.designs).max(axis=1) for part in (inside.f, inside.violation))
     feasible = np.isfinite(worst) & (violation <= Violation.allowed)
     if np.any(feasible):
         high = float(worst[feasible].min())

@@ -16,7 +16,7 @@ from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design import Rounded, over_tolerances
-from plough_opt.design.confirmation import BOX, boxes, corners
+from plough_opt.design.confirmation import BoxSample, boxes, corners
 from plough_opt.design.search import effort
 
 # --- the mean and the worst objective within tolerances, variables solved for in closed form, and tolerances in files
@@ -47,7 +47,7 @@ def test_the_mean_of_a_parabola_is_that_of_its_uniform_box(log):
     assert best.variables["x"] == pytest.approx(0.7, abs=T / 64 if not log else T / 10)
     own = _offsets(d, best.variables["x"])
     assert best.objective == pytest.approx(1.0 + np.mean((best.variables["x"] + own - 0.7) ** 2), rel=1e-9)
-    assert f"Within the tolerances: the objective is the mean of {BOX.designs} designs" in str(best)
+    assert f"Within the tolerances: the objective is the mean of {BoxSample.designs} designs" in str(best)
     assert d.solve().local_optima == best.local_optima
 
 
@@ -312,8 +312,8 @@ def test_a_requirement_is_kept_at_the_corners_of_the_box():
     many, *xs = design(**{f"x{k}": (0.5, 0.0, 1.0, "", False, T) for k in range(8)})
     many.minimise(sum(xs), over="mean")
     many.require("r", sum(xs), at_least=4.0)
-    assert f"{len(corners(8, BOX.designs))} corners" in many.solve(search="near").over
-    assert 16 < len(corners(8, BOX.designs)) <= BOX.designs
+    assert f"{len(corners(8, BoxSample.designs))} corners" in many.solve(search="near").over
+    assert 16 < len(corners(8, BoxSample.designs)) <= BoxSample.designs
 
 
 def test_the_command_line_takes_over(tmp_path):

@@ -226,7 +226,7 @@ def least_angle(force: Callable[..., Column], angles: WedgeAngles, *parameters: 
         found = search(*arguments)
     else:
         rows = np.broadcast_arrays(*(np.asarray(argument, dtype=float) for argument in arguments))
-        each = search.map(rows[0].size)(*(row.reshape(1, -1) for row in rows))
+        each = search.map(rows[0].size)(*(row.reshape(1, -1) for row in rows)) if rows[0].size else ()
         beta = np.asarray(each).reshape(rows[0].shape)
         found = beta if beta.ndim else float(beta)
     quotient = force(angles, found, *parameters) / force(angles, upper * _INSIDE, *parameters)

@@ -132,7 +132,7 @@ def simulate(
         >>> float(po.simulate(scene, "9 s", tow_speed=([0.0, 3.0, 9.0], [0.0, 2.0, 1.0])).speed[-1])
         1.0
     """
-    accuracy = accuracy or _DEFAULT
+    accuracy = _DEFAULT if accuracy is None else accuracy
     scene, duration = _read(scene, duration, accuracy, outputs, compiled, tow_speed)
     if is_casadi(duration) or _holds_casadi(scene):
         if compiled:

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from plough_opt.core.checks import array_of, check_domain, check_kind, check_single
+from plough_opt.core.checks import array_of, check_domain, check_kind, check_named, check_single
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi
 from plough_opt.core.files import figure_of_size, line_style, shared_legend, written
@@ -27,7 +27,7 @@ from plough_opt.laws import (
     UniversalEarthmoving,
 )
 from plough_opt.laws.cones import spherical_cavity_draft
-from plough_opt.laws.tines import TEXTURES, asabe_draft, godwin_draft, mckyes_ali_draft, swick_perumpral_draft
+from plough_opt.laws.tines import POINTS, TEXTURES, asabe_draft, godwin_draft, mckyes_ali_draft, swick_perumpral_draft
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import Wedge
 
@@ -263,6 +263,9 @@ def compare(
     check_kind("the scene", scene, Scene, "a numeric Scene")
     if holds_casadi((scene, depth, width, rake_angle, speeds, rupture_ratio, surcharge, adhesion)):
         raise InputError("a comparison needs numbers: evaluate the scene with best(scene) first")
+    check_named("point = {} does not exist in D497", point, POINTS)
+    if texture is not None:
+        check_named("texture = {} does not exist in D497", texture, TEXTURES)
     check_single("a comparison", (width, rake_angle, rupture_ratio, surcharge, adhesion))
     if rupture_ratio is not None:
         check_domain("rupture distance ratio m", rupture_ratio, at_least=1.0)

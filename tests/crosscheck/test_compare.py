@@ -489,7 +489,7 @@ OUTSIDE = [(FLUID, 1.0, "friction angle"), (TILLED, -1.0, "speed"), (TILLED, 5.1
 test_invalid_arguments_and_what_lies_outside_a_models_domain_are_refused = refusals(
     (po.InputError, po.DomainError),
     (lambda: compare(dataclasses.replace(scene(), tow_speed=ca.SX.sym("speed"))), "comparison needs numbers"),
-    (lambda: compare(scene(), texture="clay"), "no soil texture of D497 is named 'clay'"),
+    (lambda: compare(scene(), texture="clay"), "texture = 'clay' does not exist in D497"),
     (lambda: compare(scene(), depth=0.0), "working depth"),
     (lambda: compare(scene(), depth=[]), r"working depth = \[\] must be one or more numbers"),
     (lambda: compare(scene(), width=-0.1), "tool width"),

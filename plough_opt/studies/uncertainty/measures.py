@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import LARGEST, LEAST, array_of, check_limits, plain_number, shown
+from plough_opt.core.checks import LARGEST, LEAST, array_of, check_limits, check_single, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, floor, is_casadi, maximum, minimum, sqrt, total, where
 
@@ -299,6 +299,7 @@ def _largest(column: Column, number: int) -> Column:
 def _is_smoothed(what: str, column: Column, width: Expression) -> bool:
     """Return whether a measure is smoothed; raise InputError for an invalid width, or for expressions without one."""
     if is_casadi(width):
+        check_single(f"the width of a {what}", width)
         return True
     number = plain_number(f"the width of a {what}", width, at_least=0.0, why="it is in the unit of the values")
     if 0.0 < number < LEAST:

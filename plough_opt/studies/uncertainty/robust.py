@@ -16,7 +16,7 @@ from scipy import stats
 
 from plough_opt.core.checks import check_choice, check_kind, check_named, plain_number, whole_number
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, printable
-from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi
+from plough_opt.core.expressions import ByValue, Column, Expression, as_number, is_casadi
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import without_notices
 from plough_opt.core.saving import Origin
@@ -60,6 +60,10 @@ class RequestedMeasure:
     kind: Kind
     exact: Callable[..., Column]
     width: Expression = 0.0
+
+    def __post_init__(self) -> None:
+        if not is_casadi(self.width):
+            plain_number("width", self.width)
 
     def smoothed(self, values: Column) -> Expression:
         """Return the measure of the values of samples, smoothed as in the optimisation."""
@@ -363,7 +367,6 @@ class Robust(Readable):
         self, name: str, text: str, kind: Kind, measure: Callable[..., Column], width: Expression = 0.0
     ) -> Expression:
         """Return a measure of a result as an expression, and record it for `verify`."""
-        width = width if is_casadi(width) else plain_number("width", width)
         return self._requested(RequestedMeasure(name, text, kind, measure, width))
 
     def _requested(self, measure: RequestedMeasure) -> Expression:
@@ -689,7 +692,7 @@ def verify(
 
 def _checked(requested: RequestedMeasure, common: Array, fresh: Array, seed: int) -> Check:
     """Return the check of a measure, from the values over the optimiser's own samples and over fresh ones."""
-    seen, sharp = (float(measure(common)) for measure in (requested.smoothed, requested.exact))
+    seen, sharp = (float(as_number(measure(common))) for measure in (requested.smoothed, requested.exact))
     exact, width = float(requested.exact(fresh)), float(requested.width)
     rounding = float(requested.smoothed(fresh)) - exact if width else 0.0
     ends: tuple[float, float] | tuple[None, None] = None, None

@@ -6,6 +6,7 @@ Hessian of the Lagrangian f + lam_g' g curves upwards along every direction that
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -157,7 +158,7 @@ def difference_quotients(
         reach: factor on the steps.
     """
     signed = reach * np.where(y > 0.5, -_DIFFERENCE, _DIFFERENCE)
-    one, other = np.triu_indices(len(y))
+    one, other = _pairs(len(y))
     steps = np.diag(signed)
     values = np.column_stack(evaluate(np.vstack([y, y + steps, y + steps[one] + steps[other]])))
     if not np.all(np.isfinite(values)):
@@ -166,12 +167,16 @@ def difference_quotients(
     hessians = np.empty((values.shape[1], len(y), len(y)))
     second = (values[len(y) + 1 :] - values[0] - first[one] - first[other]).T / (signed[one] * signed[other])
     hessians[:, one, other] = hessians[:, other, one] = second
-    return values[0], first.T / signed - 0.5 * np.einsum("kii->ki", hessians) * signed, hessians
+    return values[0], first.T / signed - 0.5 * np.diagonal(hessians, axis1=1, axis2=2) * signed, hessians
+
+
+_pairs = lru_cache(maxsize=16)(np.triu_indices)
 
 
 def lagrangian(hessians: Vector, lam_g: Vector) -> Vector:
     """Return the Hessian of the Lagrangian from those of the objective and of each row of the requirements."""
-    return np.asarray(hessians[0] + np.tensordot(lam_g, hessians[1:], 1))
+    weighted = lam_g @ hessians[1:].reshape(len(lam_g), hessians[0].size)
+    return np.asarray(hessians[0] + weighted.reshape(hessians[0].shape))
 
 
 def curvature_of(hessians: Vector, lam_g: Vector) -> Vector:

@@ -47,6 +47,7 @@ def _in_vectors(function: ca.Function) -> Callable[[list[Array]], list[Array]] |
     taken = [function.numel_in(k) for k in range(function.n_in())]
     given = [function.numel_out(k) for k in range(function.n_out())]
     program = np.array(rows, dtype=np.int32), np.array(constants), np.array([*taken, *given], dtype=np.int64)
+    listed = [array.ctypes.data for array in program]
     room, places = _WIDE * function.sz_w() + _WIDEST, c_void_p * (len(taken) + len(given))
 
     def call(arguments: list[Array]) -> list[Array]:
@@ -54,8 +55,7 @@ def _in_vectors(function: ca.Function) -> Callable[[list[Array]], list[Array]] |
         assert [one.shape for one in arguments] == [(count, size) for size in taken]
         results = [np.empty((count, size)) for size in given]
         at = places(*[array.ctypes.data for array in (*arguments, *results)])
-        listed = [array.ctypes.data for array in program]
-        library.rows(count, len(rows), *listed, len(taken), at, memory.ctypes.data)
+        library.rows(count, len(program[0]), *listed, len(taken), at, memory.ctypes.data)
         return results
 
     return call

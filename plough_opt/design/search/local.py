@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable
 from dataclasses import replace
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -216,7 +217,8 @@ class _Descent:
         The moves are fractions of the step of a quadratic program subject to these rows, and any along the direction of
         the most negative curvature.
         """
-        (_, *g), (gradient, *jacobian), hessians = (part[np.r_[0, 1 + rows]] for part in derivatives)
+        chosen = np.r_[0, 1 + rows]
+        (_, *g), (gradient, *jacobian), hessians = (part[chosen] for part in derivatives)
         # A steep objective, as one that is scaled by a value near 0, would drown the limits in rounding.
         size = max(1.0, float(np.max(np.abs(gradient))))
         hessians[0] /= size
@@ -333,22 +335,22 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
 
     Once the time is over, a start that meets the requirements is not tried again.
     """
-    highest = highest_accepted(program, p, start)
+    accepted = partial(is_accepted, program, p, start)
     near = polished_by_quadratic_programs(program, p, start)
-    near_enough = near is not None and np.max(np.abs(near.y - start)) < _Polished.same_basin and near.f <= highest
-    if near is not None and near_enough and not program.refuses(near.y, p):
+    near_enough = near is not None and np.max(np.abs(near.y - start)) < _Polished.same_basin
+    if near is not None and near_enough and accepted(near) and not program.refuses(near.y, p):
         return near
     as_found = point_as_found(program, p, start)
     for box, exact in ((1.0, False), (_Polished.same_basin, True), (_Polished.same_ripple, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if point.status in _STALLED and _violation(program, p, point.y)[1] <= Violation.allowed_in_answer:
             point = _stalled(program, p, point)
-        if point.solved and point.f <= highest:
+        if accepted(point):
             return point
         if as_found.solved and limit is not None and limit.passed("further attempts to confirm an optimum"):
             return as_found
     point = program.solve(start, p)
-    if point.solved and point.f <= highest:
+    if accepted(point):
         return point
     if as_found.solved or not program.declared.requirements:
         return as_found
@@ -358,10 +360,9 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
 
 def solved_again(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum solved again after its program was rebuilt with other steps; the same basin, updated digits."""
-    highest = highest_accepted(program, p, point.y)
     for box, exact in ((_Polished.same_basin, False), (_Polished.same_ripple, False), (_Polished.same_ripple, True)):
         again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
-        if again.solved and again.f <= highest:
+        if is_accepted(program, p, point.y, again):
             return again
     return replace(point, f=_violation(program, p, point.y)[0])
 
@@ -385,17 +386,28 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
     return replace(point, solved=True, status=AS_FOUND, lam_g=lam_g, lam_y=lam_y)
 
 
-def highest_accepted(program: Program, p: Vector, start: Vector) -> float:
-    """Return the largest scaled objective at which an optimum counts as no worse than its start."""
-    f, violation = _violation(program, p, start)
-    return f + _Polished.higher * abs(f) + Violation.weight * violation if violation <= Violation.allowed else np.inf
+def is_accepted(program: Program, p: Vector, start: Vector, found: Point) -> bool:
+    """Return whether a point is solved and counts as no worse than the design from which it was optimised."""
+    f, _ = _values(program, p, start)
+    highest = f + _Polished.higher * abs(f)
+    # Whether the start is valid need be known only of one that is lower.
+    if not found.solved or found.f <= highest:
+        return found.solved
+    violation = _violation(program, p, start)[1]
+    return violation > Violation.allowed or found.f <= highest + Violation.weight * violation
 
 
 def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
     """Return the scaled objective, and the largest scaled violation; infinite if the design cannot be evaluated."""
-    f, g = (np.asarray(result).ravel() for result in program.built.nlp.values(y, p))
-    valid = np.all(np.isfinite(f)) and np.all(np.isfinite(g)) and not program.refuses(y, p)
-    return float(f[0]), program.violation(g) if valid else np.inf
+    f, g = _values(program, p, y)
+    valid = np.isfinite(f) and np.all(np.isfinite(g)) and not program.refuses(y, p)
+    return f, program.violation(g) if valid else np.inf
+
+
+def _values(program: Program, p: Vector, y: Vector) -> tuple[float, Vector]:
+    """Return the scaled objective and requirements."""
+    f, g = program.built.nlp.values(y, p)
+    return float(f), np.asarray(g).ravel()
 
 
 class _Correction:

@@ -251,9 +251,11 @@ class ManyRuns:
         def enter(chunk: NDArray[np.int64]) -> None:
             results[chunk] = self._run(p[chunk], steps[chunk])
 
-        with ThreadPoolExecutor(threads) as pool:
-            each = pool.map if threads > 1 and len(chunks) > 1 and self.compiled else map
-            list(each(enter, chunks))
+        if threads > 1 and len(chunks) > 1 and self.compiled:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(enter, chunks))
+        else:
+            list(map(enter, chunks))
         return results
 
     def _steps(self, known: dict[str, Array], duration: Array, finer: float) -> Array:

@@ -262,12 +262,11 @@ def test_a_trading_file_is_valid_and_says_what_next():
 def test_the_shipped_surface_is_even_and_certified():
     front = po.read_problem(PROBLEMS / "draft_oscillation_loosening.toml").trade_off()
     assert len(front.points) > 25
-    # One anchor is apart: the widest share with the least draft, stiff and slow. Stiff designs between it and the rest
-    # have less than 1e-4 less draft than softer ones, too little for points of their own.
-    body, (alone,) = front.parts
-    assert len(body) == len(front.points) - 1
-    assert front.points[alone].branch == "stiff"
-    assert front.objectives[alone, 2] == pytest.approx(0.22, rel=1e-9)
+    # It reaches to the widest shares: that with the least draft is stiff and slow, that which oscillates least soft.
+    (body,) = front.parts
+    assert sorted(body) == [*range(len(front.points))]
+    widest = np.flatnonzero(front.objectives[:, 2] > (1.0 - 1e-9) * 0.22)
+    assert {front.points[k].branch for k in widest} == {"soft", "stiff"}
     assert max(point.gap for point in front.points) < 1e-8
     assert max(point.residual for point in front.points) < 1e-9
     assert {point.branch for point in front.points} == {"soft", "stiff"}

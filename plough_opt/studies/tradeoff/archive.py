@@ -382,8 +382,13 @@ class Tracer(ABC):
             starts = [list(self.archive.basin_minima(p).points) for p in alone]
         # The ranges between the starts, which needles are judged by until the anchors are known.
         ends = self.archive.evaluate(np.array([designs_of[0] for designs_of in starts]))[0]
-        sizes = np.maximum(np.abs(ends).max(axis=0), 1.0)
-        self._ranges = np.maximum(np.ptp(ends, axis=0), _SAME_OBJECTIVES * sizes)
+        between, least = np.ptp(ends, axis=0), _SAME_OBJECTIVES * np.maximum(np.abs(ends).max(axis=0), 1.0)
+        if self.front.count > 2:
+            # An objective may be as good in all starts, and yet differ between the anchors, of which there are more.
+            _, tried = self.archive.feasible
+            reached = self.front.span * (tried.max(axis=0, initial=-np.inf) - tried.min(axis=0, initial=np.inf))
+            between = np.where(between > least, between, reached)
+        self._ranges = np.maximum(between, least)
         self.front.normalise(ends.min(axis=0), self._ranges)
         designs, objectives = self.archive.feasible
         self.front.build([*chain(*starts), *designs[thinned(objectives, THINNING)]])

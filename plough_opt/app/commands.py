@@ -222,6 +222,8 @@ def sweep(options: argparse.Namespace) -> None:
     """Simulate or optimise a file at every point of a grid or a sample; resume an interrupted sweep."""
     from plough_opt.problem_file.sweep import ProblemSweep  # the engine of sweeps is slow to import
 
+    if options.workers is not None and options.workers < 1:
+        raise InputError(f"--workers {options.workers}: a sweep needs at least one")
     if options.scheduler is not None and options.workers is not None:
         raise InputError("--workers start on this machine, but --scheduler has its own: remove one of the two")
     if options.scheduler is not None:

@@ -100,6 +100,7 @@ def test_a_point_that_kills_three_workers_is_undetermined_until_a_retry(tmp_path
             assert found.column("sine").tolist() == [2.0 * math.sin(a) for a in range(8)]
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_sweep_whose_workers_all_die_or_cannot_begin_ends_with_the_reason(monkeypatch):
     assert pools._PATIENCE == 40.0  # as docs/howto/sweeps.md says
     monkeypatch.setattr(pools, "_PATIENCE", 0.5)
@@ -107,7 +108,7 @@ def test_a_sweep_whose_workers_all_die_or_cannot_begin_ends_with_the_reason(monk
         (swept.Unreadable(), pools._command, "the worker processes could not begin: RuntimeError: not here"),
         (swept.kills_always, pools._command, r"processes ended within \d+ s before .* by signal 9 \(Killed\)"),
         (swept.waves, lambda: ["/none"], r"processes ended within \d+ s before .* could not be started \(.*/none"),
-        (swept.waves, [].pop, "the executor failed at a task: IndexError: pop from empty list"),
+        (swept.waves, [].pop, "the worker processes cannot be kept at work: IndexError"),
     ):
         monkeypatch.setattr(pools, "_command", command)
         with pytest.raises(po.InputError, match=words):

@@ -21,10 +21,10 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_choice, check_single
+from plough_opt.core.checks import check_choice
 from plough_opt.core.compiler import NOT_FOUND, code_of, compile_library, find_compiler
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import as_number, is_casadi, is_quantity, map_expressions, template_of
+from plough_opt.core.expressions import as_number, is_casadi, is_quantity, is_symbolic, map_expressions, template_of
 from plough_opt.core.files import check_file, text_of, write_file
 from plough_opt.core.quantities import BESIDE, EVERY
 from plough_opt.core.units import registry
@@ -620,10 +620,13 @@ def _numeric(scene: Scene) -> Scene:
     Raises:
         InputError: the scene holds symbols or arrays.
     """
-    check_single("an FMU", scene)
-    plain: Scene = map_expressions(
-        scene, lambda value: float(as_number(value)), lambda value: is_casadi(value) or isinstance(value, np.ndarray)
-    )
+
+    def number(value: Any) -> float:
+        if not is_symbolic(value) and as_number(value).size != 1:
+            raise InputError(f"an FMU holds one scene, not an array of {as_number(value).size} values: give one")
+        return float(as_number(value))
+
+    plain: Scene = map_expressions(scene, number, lambda value: is_casadi(value) or isinstance(value, np.ndarray))
     return plain
 
 

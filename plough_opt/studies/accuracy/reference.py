@@ -141,6 +141,11 @@ class Reference:
     events: tuple[tuple[LongDouble, str], ...]
     errors: Mapping[str, float]
 
+    @property
+    def error(self) -> float:
+        """Largest of its errors [-]."""
+        return max(self.errors.values())
+
 
 def reference_run(scene: Scene, duration: float | None = None, *, outputs: int = 400) -> Reference:
     """Return the motion of a scene in the widest floats.

@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -195,7 +195,7 @@ _MOST_DEATHS = 3
 # Time [s] that the pool waits for a process that survives; for as long a cluster may be without workers, which may be
 # restarting.
 _PATIENCE = 40.0
-# Pause [s] before another start if a process died before it was ready.
+# Pause [s] before a dead process is replaced.
 _PAUSE: Final = 0.2
 # Time [s] in which a process must import the script and become ready. On a busy machine it takes some seconds.
 _START: Final = 600.0
@@ -250,13 +250,13 @@ def packed(task: object) -> bytes:
 class ProcessPool(Executor):
     """An executor whose processes are replaced when they die; the task of a dead process fails with `WorkerDied`.
 
-    A thread for each process sends it tasks and waits for their results. Processes are spawned, not forked, because the
-    fork of a process with threads (those of NumPy or of a notebook) can hang, and because caches of the parent would
-    reach some workers and not others.
+    A thread for each process starts it, sends it tasks and waits for their results. Processes are spawned, not forked,
+    because the fork of a process with threads (those of NumPy or of a notebook) can hang, and because caches of the
+    parent would reach some workers and not others.
     """
 
     def __init__(self, workers: int, evaluation: Evaluation, limit: float = math.inf) -> None:
-        """Prepare to start processes, each with the first task for which no other one is free.
+        """Start the threads.
 
         Args:
             workers: number of processes.
@@ -278,16 +278,29 @@ class ProcessPool(Executor):
         # One thread per core for all workers together; more would slow all of them down.
         self._environment = environment(max(1, available() // workers))
         self._limit = limit
-        self._threads = ThreadPoolExecutor(workers)
+        self._calls: queue.SimpleQueue[tuple[Future[Any], bytes] | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._processes: dict[subprocess.Popen[bytes], float] = {}  # process -> time [s] of its start
-        self._free: list[subprocess.Popen[bytes]] = []
         self._deaths, self._first_death = 0, 0.0
         self._broken: InputError | None = None
+        self._closing = threading.Event()
+        self._threads = [threading.Thread(target=self._keep_alive, daemon=True) for _ in range(workers)]
+        for thread in self._threads:
+            thread.start()
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Submit a call, as any executor does; it fails with InputError if the pool has given up."""
-        return self._threads.submit(self._execute, packed((fn, args, kwargs)))
+        """Submit a call, as any executor does.
+
+        Raises:
+            InputError: the pool has given up.
+        """
+        future: Future[Any] = Future()
+        call = packed((fn, args, kwargs))
+        with self._lock:
+            if self._broken is not None:
+                raise self._broken
+            self._calls.put((future, call))
+        return future
 
     def proceed(self) -> None:
         """Reset the count of deaths, because a task has returned."""
@@ -296,93 +309,104 @@ class ProcessPool(Executor):
 
     def shutdown(self, *_arguments: Any, **_options: Any) -> None:
         """Kill all processes at once, whatever the options, without waiting for the tasks under way."""
-        self._give_up("the worker processes have ended")
+        self._closing.set()
         with self._lock:
             for process in self._processes:
                 process.kill()
-        self._threads.shutdown(cancel_futures=True)
-        for process in self._processes:
-            _end(process)
+        for future in self._waiting():
+            future.cancel()
+        for _ in self._threads:
+            self._calls.put(None)
+        for thread in self._threads:
+            thread.join()
 
-    def _execute(self, call: bytes) -> Any:
-        """Return what a call returns in a process; each thread runs this.
-
-        Raises:
-            WorkerDied: the process died.
-            OutOfTime: the process was ended, because it took too long.
-            InputError: the pool has given up.
-        """
-        process = self._free_process()
+    def _keep_alive(self) -> None:
+        """Keep one process at work and replace it when it dies; each thread runs this."""
+        pause = 0.0
         try:
-            with _limited(self._limit, process):
-                _send(process.stdin, call)
-                result, error = _receive(process.stdout)
-        except OutOfTime:
-            self._remove(process)
+            while not self._closing.wait(pause):
+                pause = _PAUSE
+                try:
+                    process = self._start()
+                except OSError as error:  # too little memory, or too many processes
+                    self._note_death(f"could not be started ({error})")
+                    continue
+                if process is None:
+                    return
+                try:
+                    if (answer := self._begin(process)) != _READY:
+                        self._give_up(f"the worker processes could not begin: {answer}")
+                        return
+                    while (call := self._calls.get()) is not None:
+                        self._execute(process, *call)
+                    return
+                except OutOfTime:
+                    pass
+                except (OSError, EOFError):
+                    self._note_death(_end(process))
+                finally:
+                    with self._lock:
+                        self._processes.pop(process)
+                    process.kill()
+                    _end(process)
+        except Exception as error:
+            self._give_up(f"the worker processes cannot be kept at work: {type(error).__name__}: {error}")
             raise
-        except (OSError, EOFError):
-            how = self._remove(process)
-            self._note_death(how)
-            raise WorkerDied(f"the last ended {how}") from None
-        self.proceed()
-        self._free.append(process)
-        if error is not None:
-            raise error
-        return result
 
-    def _free_process(self) -> subprocess.Popen[bytes]:
-        """Return a process that is ready for a call: one without a task, or else a new one.
-
-        Raises:
-            InputError: the pool has given up.
-        """
-        with contextlib.suppress(IndexError):  # none is free
-            while (process := self._free.pop()).poll() is not None:
-                self._note_death(self._remove(process))
-            return process
-        while True:
-            new = None
-            try:
-                new = self._start()
-                with _limited(_START, new):
-                    _send(new.stdin, self._first_message)
-                    answer = _receive(new.stdout)
-                if answer == _READY:
-                    return new
-            except OutOfTime:
-                answer = f"they were not ready after {_START:g} s"
-            except (OSError, EOFError) as error:
-                # Too little memory or too many processes may prevent the start.
-                self._note_death(self._remove(new) if new else f"could not be started ({error})")
-                time.sleep(_PAUSE)
-                continue
-            self._give_up(f"the worker processes could not begin: {answer}")
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        """Start a process and return it.
-
-        Raises:
-            InputError: the pool has given up.
-            OSError: the process cannot be started.
-        """
+    def _start(self) -> subprocess.Popen[bytes] | None:
+        """Start a process and return it; return None if the pool is closing."""
         with self._lock:
-            if self._broken is not None:
-                raise self._broken
+            if self._closing.is_set() or self._broken is not None:
+                return None
             pipe = subprocess.PIPE
             process = subprocess.Popen(_command(), stdin=pipe, stdout=pipe, env=self._environment)
             self._processes[process] = time.monotonic()
             return process
 
-    def _remove(self, process: subprocess.Popen[bytes]) -> str:
-        """Remove a process that is about to end, and return how it ended."""
-        with self._lock:
-            del self._processes[process]
-        return _end(process)
+    def _begin(self, process: subprocess.Popen[bytes]) -> str:
+        """Prepare a process for calls; return `_READY`, or why that failed. Raise OSError or EOFError if it died."""
+        try:
+            with _limited(_START, process):
+                _send(process.stdin, self._first_message)
+                return str(_receive(process.stdout))
+        except OutOfTime:
+            return f"they were not ready after {_START:g} s"
+
+    def _execute(self, process: subprocess.Popen[bytes], future: Future[Any], call: bytes) -> None:
+        """Send a task to a process and pass the outcome to its future.
+
+        Raises:
+            OSError: the process died.
+            EOFError: the process died.
+            OutOfTime: the process was ended, because it took too long.
+        """
+        if process.poll() is not None:
+            self._calls.put((future, call))  # the process died before the task reached it
+            raise EOFError
+        if not future.set_running_or_notify_cancel():
+            return
+        try:
+            with _limited(self._limit, process):
+                _send(process.stdin, call)
+                result, error = _receive(process.stdout)
+        except OutOfTime as late:
+            future.set_exception(late)
+            raise
+        except (OSError, EOFError):
+            future.set_exception(WorkerDied(f"the last ended {_end(process)}"))
+            raise
+        self.proceed()
+        if error is None:
+            future.set_result(result)
+        else:
+            future.set_exception(error)
 
     def _note_death(self, how: str) -> None:
         """Count a death, and give up if processes keep dying before any task returns."""
         now = time.monotonic()
         with self._lock:
+            if self._closing.is_set():
+                return
             self._first_death = self._first_death if self._deaths else now
             self._deaths += 1
             deaths, seconds = self._deaths, now - self._first_death
@@ -394,9 +418,20 @@ class ProcessPool(Executor):
             )
 
     def _give_up(self, reason: str) -> None:
-        """Start no further process; all calls that need one fail."""
+        """Make all waiting and all later calls fail."""
         with self._lock:
             self._broken = self._broken or InputError(reason)
+        for future in self._waiting():
+            if future.set_running_or_notify_cancel():
+                future.set_exception(self._broken)
+
+    def _waiting(self) -> list[Future[Any]]:
+        """Empty the queue and return the futures of its calls."""
+        calls = []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                calls.append(self._calls.get_nowait())
+        return [call[0] for call in calls if call is not None]
 
 
 def environment(threads: int) -> dict[str, str]:
@@ -424,14 +459,19 @@ def _limited(seconds: float, process: subprocess.Popen[bytes]) -> Iterator[None]
     Raises:
         OutOfTime: the process was killed for this reason.
     """
-    end = time.monotonic() + seconds
-    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), process.kill)
+    late = threading.Event()
+
+    def end() -> None:
+        late.set()
+        process.kill()
+
+    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), end)
     timer.daemon = True
     timer.start()
     try:
         yield
     except (OSError, EOFError):
-        if time.monotonic() >= end:
+        if late.is_set():
             why = f"no result after {seconds:g} s, so its worker was ended"
             raise OutOfTime(f"{why}: set a longer limit (--limit, limit=...)") from None
         raise

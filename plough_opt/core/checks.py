@@ -327,7 +327,7 @@ def plain_number(what: str, value: Any, unit: str = "", **limits: Any) -> float:
         text = f"{what}: {shown(value)} is not a number (in SI units; po.deg converts degrees)"
         raise InputError(text) from None
     except OverflowError:
-        number = math.inf
+        raise InputError(f"{what}: {shown(value)} must be at most {LARGEST:g} in magnitude: check its unit") from None
     if limits or not abs(number) <= LARGEST:
         try:
             DomainLimit(what, unit, **({"at_least": -LARGEST, "at_most": LARGEST} | limits)).check(number)
@@ -338,7 +338,7 @@ def plain_number(what: str, value: Any, unit: str = "", **limits: Any) -> float:
 
 def bound_of(what: str, value: Any) -> float:
     """Return a bound as a float, which may be infinite; raise InputError if it is no number."""
-    return value if isinstance(value, float) and math.isinf(value) else plain_number(what, value)
+    return float(value) if isinstance(value, float | np.floating) and np.isinf(value) else plain_number(what, value)
 
 
 def pair_of(what: str, value: Any) -> tuple[float, float]:
@@ -347,11 +347,10 @@ def pair_of(what: str, value: Any) -> tuple[float, float]:
     Raises:
         InputError: the value is not a pair of numbers, or the first is not below the second.
     """
-    try:
-        low, high = value
-    except NOT_NUMBERS:
-        raise InputError(f"{what} = {shown(value)} must be a pair of numbers, such as (0.0, 0.5)") from None
-    low, high = bound_of(what, low), bound_of(what, high)
+    ends = value.tolist() if isinstance(value, np.ndarray) else value
+    if not isinstance(ends, list | tuple) or len(ends) != 2:
+        raise InputError(f"{what} = {shown(value)} must be a pair of numbers, such as (0.0, 0.5)")
+    low, high = (bound_of(what, end) for end in ends)
     check_bounds(what, low, high)
     return low, high
 
@@ -376,13 +375,18 @@ def check_bounds(
         show: function that returns a number as text, with its unit.
     """
     if not lower < upper:
-        equal = "; to fix a quantity, use the number itself" * (lower == upper)
-        ends = f"lower {show(lower)} is not below upper {show(upper)}{equal}"
+        equal = "; to fix a quantity, use the number itself" * (lower == upper and guess is not None)
+        ends = f"lower {_apart(lower, upper, show)} is not below upper {_apart(upper, lower, show)}{equal}"
         raise InputError(f"{what}: its bounds contradict each other: {ends}")
     if log and lower <= 0.0:
         raise InputError(f"{what}: a logarithmic scale needs a lower bound above 0, not {show(lower)}")
     if guess is not None and not lower <= guess <= upper:
         raise InputError(f"{what}: its guess {show(guess)} lies outside its bounds {show(lower)} to {show(upper)}")
+
+
+def _apart(number: float, other: float, show: Callable[[float], str]) -> str:
+    """Return a number as text, with all its digits in SI units if another one looks the same."""
+    return show(number) if number == other or show(number) != show(other) else repr(number)
 
 
 def check_limits(
@@ -399,7 +403,7 @@ def check_limits(
     if at_least is None and at_most is None:
         raise InputError(f"{what} has no limit: give at_least, at_most or both")
     if at_least is not None and at_most is not None and at_least > at_most:
-        ends = f"at least {show(at_least)} is above at most {show(at_most)}"
+        ends = f"at least {_apart(at_least, at_most, show)} is above at most {_apart(at_most, at_least, show)}"
         raise InputError(f"{what}: its limits contradict each other: {ends}")
 
 

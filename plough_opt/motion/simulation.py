@@ -166,7 +166,10 @@ def _read(
     """
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
     of_casadi = is_casadi(duration) or _holds_casadi(scene)
-    check_single("simulate", (scene, duration) if of_casadi else duration)
+    if isinstance(duration, np.ndarray) and duration.ndim:
+        raise InputError(f"the duration is an array of {duration.size} values: simulate accepts one at a time")
+    if of_casadi:
+        check_single("simulate", (scene, duration))
     if of_casadi and not holds_symbols((scene, duration)):
         scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
     check_kind("accuracy", accuracy, Accuracy, "an Accuracy, such as Accuracy('erk')")

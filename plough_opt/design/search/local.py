@@ -394,7 +394,7 @@ def is_accepted(program: Program, p: Vector, start: Vector, found: Point) -> boo
     if not found.solved or found.f <= highest:
         return found.solved
     violation = _violation(program, p, start)[1]
-    return violation > Violation.allowed or found.f <= highest + Violation.weight * violation
+    return found.f <= (highest + Violation.weight * violation if violation <= Violation.allowed else np.inf)
 
 
 def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:

@@ -40,7 +40,7 @@ WORST = "worst objective\n"
 _BELOW_WORST: Final = "one of the worst designs within the tolerances\n"
 
 
-class _Cuts:
+class _CuttingSets:
     """Bounds of the worst objective, and which positions join the program."""
 
     sample: Final = 256  # designs whose boxes are sampled to find bounds
@@ -87,7 +87,7 @@ class ToleranceBoxSolver:
                 if above and not raised:
                     # The optimum is higher than the sample suggested.
                     reach = max(bounds[1] - bounds[0], conflicts[_BELOW_WORST])
-                    bounds, raised = (bounds[0], bounds[1] + _Cuts.below * reach), True
+                    bounds, raised = (bounds[0], bounds[1] + _CuttingSets.below * reach), True
                 elif chosen != self._every:
                     # Reasons are given for all positions.
                     chosen, request = self._every, asked
@@ -100,9 +100,9 @@ class ToleranceBoxSolver:
                 else:
                     raise
                 continue
-            if best.objective <= bounds[0] + _Cuts.at_bound * (bounds[1] - bounds[0]):
+            if best.objective <= bounds[0] + _CuttingSets.at_bound * (bounds[1] - bounds[0]):
                 # The optimum is lower than the sample suggested: extend the range downwards and solve again.
-                bounds = bounds[0] - _Cuts.below * (bounds[1] - bounds[0]), bounds[1]
+                bounds = bounds[0] - _CuttingSets.below * (bounds[1] - bounds[0]), bounds[1]
             elif chosen == self._every:
                 return best
             elif best.status != "solved":
@@ -123,8 +123,8 @@ class ToleranceBoxSolver:
         """
         if not landscape.vectorised:
             return self._every
-        sampled = evaluated_sample(landscape, _Cuts.sample)
-        best = np.argsort(sampled.merit, kind="stable")[: _Cuts.promising]
+        sampled = evaluated_sample(landscape, _CuttingSets.sample)
+        best = np.argsort(sampled.merit, kind="stable")[: _CuttingSets.promising]
         points = np.vstack([landscape.program.start()[None], sampled.points[best]])
         f, violation = self._rows(landscape, points)
         return tuple(sorted({*np.argmax(f, axis=1).tolist(), *np.argmax(violation, axis=1).ravel().tolist()}))
@@ -165,7 +165,7 @@ class ToleranceBoxSolver:
         f, violation = self._rows(landscape, points)
         values = np.concatenate([f[:, :, None], violation], axis=2)
         worst, own = np.max(values, axis=1), np.max(values[:, chosen], axis=1)
-        missing = set(np.argmax(values, axis=1)[worst > own + _Cuts.worse].tolist())
+        missing = set(np.argmax(values, axis=1)[worst > own + _CuttingSets.worse].tolist())
         if not missing:
             made = boxes(variables, points[:1], self._unit)
             missing = {k for k in {*self._every} - {*chosen} if landscape.program.refuses(made[k], landscape.p)}
@@ -249,7 +249,7 @@ def bounds_on_worst(made: Landscape) -> tuple[float, float]:
         made: landscape of the bare design, in which no variable is solved for.
     """
     landscape = Landscape(made.program, made.p)
-    sampled = evaluated_sample(landscape, _Cuts.sample if landscape.vectorised else BoxSample.fewest)
+    sampled = evaluated_sample(landscape, _CuttingSets.sample if landscape.vectorised else BoxSample.fewest)
     valid = np.flatnonzero(np.isfinite(sampled.f))
     inside = made(boxes(made.program.declared.variables, sampled.points[valid]))
     worst, violation = (part.reshape(-1, BoxSample.designs).max(axis=1) for part in (inside.f, inside.violation))
@@ -261,4 +261,4 @@ def bounds_on_worst(made: Landscape) -> tuple[float, float]:
     low = float(np.min(sampled.f[valid], initial=high))
     # The range must not be empty, even for a constant objective.
     reach = max(high - low, abs(high), 1e-6)
-    return (low - _Cuts.below * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale
+    return (low - _CuttingSets.below * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale

@@ -503,7 +503,7 @@ class Equation:
 
 
 class OfEquation:
-    """What belongs to an equation of motion."""
+    """What has an equation of motion, and passes on its structure and the names of its parameters."""
 
     equation: Equation
 

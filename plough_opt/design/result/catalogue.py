@@ -39,7 +39,7 @@ from plough_opt.design.search.local import AS_FOUND, descend, least_violation, p
 from plough_opt.design.search.near import failures, from_least_violation
 
 
-class _Free:
+class _FreeSample:
     """Extent of the first sample of the free variables."""
 
     designs: Final = 2**16  # of all combinations together
@@ -139,7 +139,7 @@ class _Screen:
         """
         count, n = len(self._combinations), len(self._free)
         numbers = np.arange(count)
-        each = int(np.clip(_Free.designs // count, _Free.fewest_each, _Free.most_each))
+        each = int(np.clip(_FreeSample.designs // count, _FreeSample.fewest_each, _FreeSample.most_each))
         points = sobol_points(n, count * each, self._rng)
         # Consecutive points of the sequence fill the space evenly, so each combination takes a block of them.
         sample = self._landscape(self._designs(np.repeat(numbers, each), points))
@@ -236,7 +236,7 @@ def _lowest(best: Evaluations, count: int, kept: list[int]) -> np.ndarray:
     if len(best.f) <= count:
         return np.arange(len(best.f))
     with np.errstate(invalid="ignore"):
-        low_penalty = np.where(np.isfinite(best.f), best.f + _Free.low_penalty * best.violation, np.inf)
+        low_penalty = np.where(np.isfinite(best.f), best.f + _FreeSample.low_penalty * best.violation, np.inf)
     strict, loose = (np.argsort(value, kind="stable").tolist() for value in (best.merit, low_penalty))
     half = count // 2
     chosen = list(dict.fromkeys([*kept, *strict[:half], *loose[: count - half]]))
@@ -364,7 +364,7 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     return found
 
 
-class _Most:
+class _Combinations:
     """Most combinations that are screened, optimised and named."""
 
     screened: Final = 100_000  # This many take some seconds; from here on, only the optimum's neighbours are tried.
@@ -395,7 +395,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     fixed = [own.number for own in offered]
     landscape = Landscape(solved.program, p, fixed)
     count = math.prod(len(own.offered) for own in offered)
-    few = count < _Most.screened and count * solved.program.population.runs < _Most.runs_screened
+    few = count < _Combinations.screened and count * solved.program.population.runs < _Combinations.runs_screened
     every = landscape.vectorised and few
     limit = TimeLimit("auto")
     starts = _starts(landscape, solved, offered, seed, limit if every else None)
@@ -460,16 +460,16 @@ def _starts(
     """
     neighbours = [own.neighbours(float(solved.values[own.number])) for own in offered]
     near = math.prod(map(len, neighbours))
-    if limit is None and near > _Most.neighbours:
+    if limit is None and near > _Combinations.neighbours:
         raise InputError(f"{len(neighbours)} variables have too many combinations of neighbours: round fewer at a time")
     combinations = list(itertools.product(*([own.values() for own in offered] if limit else neighbours)))
     scaled = [[own.variable.scaled(x) for own, x in zip(offered, values, strict=True)] for values in combinations]
     fixed = [own.number for own in offered]
     if limit:
-        always = set(itertools.product(*neighbours)) if near <= _Most.optimised else set()
+        always = set(itertools.product(*neighbours)) if near <= _Combinations.optimised else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
         screen = _Screen(landscape, solved.point.y, fixed, np.array(scaled), seed)
-        found = [*screen.promising(kept, limit).items()][: _Most.optimised]
+        found = [*screen.promising(kept, limit).items()][: _Combinations.optimised]
         return [(start, combinations[number]) for number, start in found]
     return list(zip(with_variables(solved.point.y, fixed, scaled), combinations, strict=True))
 
@@ -501,7 +501,7 @@ def _none_feasible(program: Program, tried: Sequence[Choice], screened: int) -> 
     units = {v.name: v.unit for v in program.declared.variables}
     texts = [
         f"{values_in_words(choice.values, units)}: {failures(program, choice.conflicts) or 'not solved'}"
-        for choice in least[: _Most.named]
+        for choice in least[: _Combinations.named]
     ]
     none = f"none of {screened} combinations of values meets" if screened > 1 else "the only combination does not meet"
     rest = f"; and {len(tried) - len(texts)} more that were optimised" if len(tried) > len(texts) else ""

@@ -48,7 +48,7 @@ class _Round:
     few_unseen: Final = 0.1  # With fewer expected unseen basins, the evolution, which might find one, is skipped.
 
 
-class _Look:
+class _CloserLook:
     """Extent of the search in boxes around the best designs. Lengths are fractions of the range."""
 
     rounds: Final = 4
@@ -275,7 +275,7 @@ class Explorer:
         evaluated = self._evaluate(lines)
         promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated))
         for k in dips:
-            if promising[k] and np.max(np.abs(lines[k] - centre)) > _Look.another_dip * min(2.0 * radius, 1.0):
+            if promising[k] and np.max(np.abs(lines[k] - centre)) > _CloserLook.another_dip * min(2.0 * radius, 1.0):
                 self.progress("descending from dips along each variable", 0.0)
                 self._end_from(lines[k])
 
@@ -292,17 +292,17 @@ class Explorer:
         self._descend_from_dips(minima.points[0])
         if len(self.variables) < 2:
             return
-        for _ in range(_Look.violation_rounds if self.shortfall else _Look.rounds):
+        for _ in range(_CloserLook.violation_rounds if self.shortfall else _CloserLook.rounds):
             if self.stop() or self.limit.passed("a closer look at the best designs"):
                 return
-            centres, before = self._basins()[0].points[: _Look.centres], len(self._ends.f)
-            radii = _Look.radii_if_rare if self.shortfall or self._feasible_rare else _Look.radii
+            centres, before = self._basins()[0].points[: _CloserLook.centres], len(self._ends.f)
+            radii = _CloserLook.radii_if_rare if self.shortfall or self._feasible_rare else _CloserLook.radii
             boxes = list(itertools.product(centres, radii))
             for number, (centre, radius) in enumerate(boxes):
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
                 self._descend_from_dips(centre, radius)
-            for _ in range(_Look.translations):
+            for _ in range(_CloserLook.translations):
                 self._descend_from_translations()
             merit = self._merit(self._ends)
             lowest = np.min(merit[:before])
@@ -311,12 +311,12 @@ class Explorer:
 
     def _descend_inside(self, centre: Vector, radius: float, rng: np.random.Generator) -> None:
         """Descend from the lowest sampled designs of a box around a design."""
-        points, _ = sample(len(self.variables), _Look.sample, np.full(len(self.variables), 0.5), rng)
+        points, _ = sample(len(self.variables), _CloserLook.sample, np.full(len(self.variables), 0.5), rng)
         inside = np.clip(centre[self.variables] + radius * (2.0 * points - 1.0), 0.0, 1.0)
         designs = with_variables(centre, self.variables, inside)
         evaluated = self._evaluate(designs)
         promising = self._worth_descending(evaluated)
-        for k in local_minima(points, self._merit(evaluated))[0][: _Look.descents]:
+        for k in local_minima(points, self._merit(evaluated))[0][: _CloserLook.descents]:
             if promising[k]:
                 self._end_from(designs[k])
 
@@ -326,14 +326,14 @@ class Explorer:
         A box holds hardly any sample in the ripple next to the best one if that differs in several variables.
         """
         merit = self._merit(self._ends)
-        order = apart(self._ends.points, np.argsort(merit, kind="stable"), Basins.same, _Look.ends)
+        order = apart(self._ends.points, np.argsort(merit, kind="stable"), Basins.same, _CloserLook.ends)
         lowest, highest = self._ends.points[order], merit[order[-1]]
         moved = np.clip(lowest[0] + (lowest[:, None] - lowest).reshape(-1, lowest.shape[1]), 0.0, 1.0)
-        moved = moved[np.unique(moved.round(_Look.digits), axis=0, return_index=True)[1]]
+        moved = moved[np.unique(moved.round(_CloserLook.digits), axis=0, return_index=True)[1]]
         near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < Basins.same
         tried = self._evaluate(moved[~near])
         promising, merit = self._worth_descending(tried), self._merit(tried)
-        for k in np.argsort(merit, kind="stable")[: _Look.moves]:
+        for k in np.argsort(merit, kind="stable")[: _CloserLook.moves]:
             if promising[k] and merit[k] <= highest:
                 self._end_from(tried.points[k])
 

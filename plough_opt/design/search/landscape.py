@@ -359,7 +359,7 @@ def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple
     return np.vstack([points, start[None], np.full((1, n), 0.5)]), rng.permutation(half)
 
 
-class _Along:
+class _AlongVariables:
     """Extent of a look along each variable through a design."""
 
     positions: Final = 128  # on each line
@@ -381,9 +381,9 @@ def lines_through(y: Vector, variables: Sequence[int], radius: float = 1.0) -> V
         variables: numbers of the variables.
         radius: length of the lines on either side of the design; they end at bounds.
     """
-    lines = np.tile(y, (len(variables), _Along.positions, 1))
+    lines = np.tile(y, (len(variables), _AlongVariables.positions, 1))
     for line, k in zip(lines, variables, strict=True):
-        line[:, k] = np.linspace(max(y[k] - radius, 0.0), min(y[k] + radius, 1.0), _Along.positions)
+        line[:, k] = np.linspace(max(y[k] - radius, 0.0), min(y[k] + radius, 1.0), _AlongVariables.positions)
     return lines.reshape(-1, len(y))
 
 
@@ -417,10 +417,10 @@ def dips_along(merit: Vector) -> np.ndarray:
     Args:
         merit: of each position, line after line.
     """
-    lines = merit.reshape(-1, _Along.positions)
+    lines = merit.reshape(-1, _AlongVariables.positions)
     wall = np.pad(lines, ((0, 0), (1, 1)), constant_values=np.inf)
     dips = np.flatnonzero(((wall[:, 1:-1] < wall[:, :-2]) & (wall[:, 1:-1] <= wall[:, 2:])).ravel())
-    return np.asarray(dips[np.argsort(merit[dips], kind="stable")][: _Along.dips * len(lines)])
+    return np.asarray(dips[np.argsort(merit[dips], kind="stable")][: _AlongVariables.dips * len(lines)])
 
 
 def evolved(

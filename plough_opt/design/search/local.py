@@ -260,7 +260,7 @@ class _Descent:
         return np.array(chosen, dtype=int)
 
 
-class _Quick:
+class _QuickPolish:
     """What a design must be like to be polished by a few quadratic programs instead of IPOPT."""
 
     most_steps: Final = 5  # A start that needs more is not nearly optimal.
@@ -286,13 +286,13 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
     """
     if (derivatives := Landscape(program, p).quotients(start)) is None:
         return None
-    margin = np.where(program.low < program.high, _Quick.margin, 0.0)
+    margin = np.where(program.low < program.high, _QuickPolish.margin, 0.0)
     corrector = Corrector(program, margin)
     f, *at = corrector.slopes(start, p)
     exact = np.vstack(at[1:])
     largest = float(np.max(np.abs(exact)))
     # A slope may be infinite, as that of a square root at a bound; a difference without a value is NaN.
-    if not largest < np.inf or not np.max(np.abs(exact - derivatives[1])) <= _Quick.kink * max(1.0, largest):
+    if not largest < np.inf or not np.max(np.abs(exact - derivatives[1])) <= _QuickPolish.kink * max(1.0, largest):
         return None
     status, limits = "Search_Direction_Becomes_Too_Small", (program.low + margin, program.high - margin)
     point = Point(False, status, start, float(f[0]), np.zeros(len(margin)), np.zeros(len(start)), 0)
@@ -303,15 +303,15 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
             return None
         point = replace(point, lam_g=found[1])
     try:
-        point = corrector.iterate(point, curvature, p, _Quick.most_steps)
+        point = corrector.iterate(point, curvature, p, _QuickPolish.most_steps)
     except ValueError:  # a slope on the way has no value
         return None
     _, g, _, jacobian = corrector.slopes(point.y, p)
     margins = np.concatenate([program.margins(g), np.minimum(point.y, 1.0 - point.y)])
-    active = np.vstack([jacobian, np.eye(len(start))])[margins < _Quick.active]
+    active = np.vstack([jacobian, np.eye(len(start))])[margins < _QuickPolish.active]
     met = np.all((margin == 0.0) | (program.margins(g) >= 0.0))
     # Multipliers of dependent limits are ambiguous.
-    return point if point.solved and met and independent(active, _Quick.dependent) else None
+    return point if point.solved and met and independent(active, _QuickPolish.dependent) else None
 
 
 class _Polished:

@@ -385,8 +385,8 @@ def check_bounds(
 
 
 def _apart(number: float, other: float, show: Callable[[float], str]) -> str:
-    """Return a number as text, with all its digits in SI units if another one looks the same."""
-    return show(number) if number == other or show(number) != show(other) else repr(number)
+    """Return a number as text, with more digits and in SI units if another one looks the same."""
+    return show(number) if number == other or show(number) != show(other) else f"{number:.12g}"
 
 
 def check_limits(

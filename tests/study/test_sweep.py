@@ -215,6 +215,23 @@ def test_a_script_without_a_guard_is_refused(script):
     assert "a script must call sweep under if __name__ == '__main__':" in error.splitlines()[-1]
 
 
+IN_A_THREAD = """
+import threading
+from helpers import swept
+from plough_opt.studies.sweep.engine import sweep
+def run():
+    print(len(sweep(swept.waves, {"a": [float(k) for k in range(200)]}, workers=1).table), flush=True)
+if __name__ == "__main__":
+    threading.Thread(target=run).start()
+"""
+
+
+@pytest.mark.thorough
+def test_a_sweep_in_a_thread_goes_on_after_the_main_thread_has_ended(script):
+    process = script(IN_A_THREAD)
+    assert process.communicate(timeout=60) == ("200\n", "")
+
+
 def test_a_grid_of_a_trillion_points_needs_no_memory():
     grid = PointGrid({"a": po.Range(0.0, 1.0, 10**6), "b": po.Range(0.0, 1.0, 10**6)})
     np.testing.assert_array_equal(grid.block(10**12 - 1, 10**12), [[1.0, 1.0]])

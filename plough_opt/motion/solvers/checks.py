@@ -341,6 +341,8 @@ def broken_wave(run: Run) -> tuple[str, ...]:
     before = run.time < until
     force = np.append(run.mount_force[before], np.interp(until, run.time, run.mount_force))
     whole = np.trapezoid(force, np.append(run.time[before], until)) / until
+    if whole == 0.0:  # nothing resists
+        return ()
     percent = 100.0 * float(np.trapezoid(run.mount_force, run.time) / duration / whole - 1.0)
     return (broken_wave_in_words(percent, count, count * period),) if abs(percent) > BROKEN_WAVE else ()
 

@@ -82,16 +82,15 @@ def test_own_resistances_with_corners(batch_of, errors, r1_wave):
 def test_duration_and_ramp_of_each_design(r1_scene, r1_wave):
     k0, duration, ramp = (ca.MX.sym(name) for name in ("k0", "duration", "ramp"))
     batch = po.Batch(r1_scene(25.0, 0.25, k0, strength_wave=r1_wave, tow_ramp=ramp), duration, [k0, duration, ramp])
-    values = np.array([[5e4, 0.5, 0.2], [1e4, 1.0, 0.6], [5e4, 0.3, 0.9], [5e4, 0.5, 0.0], [5e4, 0.5, 1e-10],
-                       [5e4, 0.5, -0.1], [5e4, -1.0, 0.2]])  # fmt: skip
+    values = np.array([[5e4, 0.5, 0.2], [1e4, 1.0, 0.6], [5e4, 0.3, 0.9], [5e4, 0.5, 0.0], [5e4, -1.0, 0.2]])
     result = batch(values)
-    for k, (stiffness, time, end) in enumerate(values[:5]):
+    for k, (stiffness, time, end) in enumerate(values[:3]):
         scene = r1_scene(25.0, 0.25, stiffness, strength_wave=r1_wave, tow_ramp=end)
         run = po.simulate(scene, time, outputs=4)
         assert (result.mean_draft[k], result.tow_power[k]) == pytest.approx((run.mean_draft, run.tow_power), rel=1e-6)
-    assert list(result.failed) == [False] * 5 + [True] * 2
-    assert "ramp" in result.reasons[5]
-    assert result.reasons[6] == "duration = -1 s must be above 0 s"
+    assert list(result.failed) == [False, False, False, True, True]
+    assert "tow ramp" in result.reasons[3]
+    assert result.reasons[4] == "duration = -1 s must be above 0 s"
 
 
 def test_a_column_of_symbols(r1_scene, r1_wave, batch_of):

@@ -136,7 +136,7 @@ WRONG_RECORDS = [
     (TIMES, ("--tow-speed", "0 m/s"), "positions must increase, but 0 m follows 0 m"),
     (None, ("--mass", "9 kg", "--stiffness", "9 kN/m", "--tow-speed", "0 m/s"), "tow speed of a rig = 0 m/s"),
     (None, ("--mass", "20 kg"), "a rig also needs --stiffness, --tow-speed"),
-    (None, ("--part", "2"), "part = 2.0"),
+    (None, ("--part", "2"), "part of the variance = 2 must be at most 1"),
     (None, ("--plot", "x.bmp"), "it must end in .png"),
 ]
 

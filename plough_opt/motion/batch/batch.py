@@ -57,6 +57,7 @@ from plough_opt.motion.batch.advance import (
 )
 from plough_opt.motion.batch.series import Engine
 from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.effects.terms import SHORTEST_RAMP
 from plough_opt.motion.equation import Structure, check_strength, equation_of
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers.orbit import inverse, near_orbit, returning, without_orbit
@@ -153,6 +154,7 @@ _RESERVE = 0.3
 _LARGEST_CUT = 1e-6
 # Map of deviations that changes none.
 _UNMOVED: Matrix = (ca.SX(1), ca.SX(0), ca.SX(0), ca.SX(1))
+_NO_RAMP = f"its tow ramp does not last longer than {SHORTEST_RAMP:g} s: use a batch of a scene without tow_ramp for it"
 
 
 class Batch:
@@ -326,6 +328,9 @@ class Batch:
         quantities = self._engine.evaluate("quantities", rows)
         reasons = self._check.reasons(quantities)
         prepared = self._engine.evaluate("setup", rows)
+        if layout.structure.ramp:
+            ramps = prepared[layout.names.index("ramp_time")]
+            reasons |= {int(k): _NO_RAMP for k in np.flatnonzero(~(ramps > SHORTEST_RAMP)) if int(k) not in reasons}
         which = np.delete(np.arange(rows.shape[1]), list(reasons))
         prepared = prepared if len(which) == rows.shape[1] else prepared[:, which]
         # Designs in one register wait for the slowest of them; those of similar phase take similar numbers of steps.

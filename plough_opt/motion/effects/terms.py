@@ -447,7 +447,7 @@ class StickSlipContact(Term):
         return p["breakaway"] * force
 
 
-_SHORTEST_RAMP = 1e-9
+SHORTEST_RAMP = 1e-9
 """Time of a ramp [s] that changes forces by about 1e-11 relative to a start at full speed."""
 
 
@@ -478,7 +478,7 @@ class TowRamp(Term):
     def values(self, scene: Towed) -> dict[str, Expression]:
         time = scene.effects.tow_ramp
         # If a symbol makes it 0, the formulas of the ramp still hold for a time too short to matter.
-        return {"ramp_time": where(time > 0.0, time, time + _SHORTEST_RAMP)}
+        return {"ramp_time": where(time > 0.0, time, time + SHORTEST_RAMP)}
 
     def strut(self, p: Parameters, time: Expression) -> Strut:
         """Return the strut's motion.

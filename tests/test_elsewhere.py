@@ -18,7 +18,7 @@ import plough_opt as po
 OPENED = ("-X", "warn_default_encoding", "-W", "error::EncodingWarning:plough_opt")
 
 
-@pytest.fixture(scope="module", params=["streams", "locale"])
+@pytest.fixture(scope="module", params=[pytest.param("streams", marks=pytest.mark.thorough), "locale"])
 def cp1252(request, tmp_path_factory):
     """Return the variables under which Python's streams, or everything that depends on the locale, is in cp1252."""
     if request.param == "streams":

@@ -116,7 +116,7 @@ def assert_equal(problem, rows, runs, results):
 # These run with the thorough tests: what most of them have alone, the other scenes have beside something else.
 LATER = {
     "from rest", "towed", "ramp", "ramp from equilibrium", "whole waves", "stick and slip", "quasi-static ramp",
-    "a compression test", "a result of the file", "entry",
+    "a compression test", "a result of the file", "entry", "undamped", "no drag, no added mass",
 }  # fmt: skip
 
 

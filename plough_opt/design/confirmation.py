@@ -22,7 +22,7 @@ from plough_opt.design.model.program import Program, error_of_derivatives
 from plough_opt.design.model.tight_integration import steps_factor
 from plough_opt.design.search.effort import TimeLimit
 from plough_opt.design.search.landscape import FINER, Basins, Landscape, Violation, sobol_points
-from plough_opt.design.search.local import AS_FOUND, is_accepted, solved_again
+from plough_opt.design.search.local import AS_FOUND, acceptance, solved_again
 
 SMALL = 0.25
 """An objective below this part of its typical size counts as small: near 0 a fraction of it would mean nothing."""
@@ -134,7 +134,7 @@ def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
         return point
     # A box around the point could cut off a long flat valley, and its edge would pass for the optimum.
     again = program.solve(point.y, p, SolveOptions(near=True, exact=False))
-    return again if is_accepted(program, p, point.y, again) else point
+    return again if acceptance(program, p, point.y)(again) else point
 
 
 class _Aside:

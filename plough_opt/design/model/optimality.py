@@ -122,7 +122,7 @@ def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vect
     return float(max(np.max(np.abs(slope)), products) / max(1.0, np.max(np.abs(multipliers))) + violation)
 
 
-class _Quadratic:
+class _QuadraticProgram:
     """Bounds of a quadratic program: of its curvatures, and of what it takes for contradictory limits."""
 
     # Smaller curvatures are raised to this, or to this part of the largest if that is below 1, so that the program is
@@ -138,7 +138,7 @@ def made_convex(hessian: Vector) -> Vector:
     """Return a Hessian with every eigenvalue replaced by its absolute value, or a least curvature if that is larger."""
     sizes, directions = np.linalg.eigh(hessian)
     sizes = np.abs(sizes)
-    least = max(_Quadratic.least_curvature * min(1.0, float(np.max(sizes))), np.finfo(float).eps)
+    least = max(_QuadraticProgram.least_curvature * min(1.0, float(np.max(sizes))), np.finfo(float).eps)
     return np.asarray((directions * np.maximum(sizes, least)) @ directions.T)
 
 
@@ -170,6 +170,7 @@ def difference_quotients(
     return values[0], first.T / signed - 0.5 * np.diagonal(hessians, axis1=1, axis2=2) * signed, hessians
 
 
+# Of variables; NumPy takes longer to list them than to form the quotients.
 _pairs = lru_cache(maxsize=16)(np.triu_indices)
 
 
@@ -217,7 +218,7 @@ def quadratic_program(
     target = np.zeros(len(system))
     target[-1] = 1.0
     weights, distance = nnls(system, target)
-    if distance < _Quadratic.infeasible:
+    if distance < _QuadraticProgram.infeasible:
         return None
     # Positive weights mark the active limits; with these the step follows to rounding.
     active = np.flatnonzero(weights)
@@ -281,7 +282,7 @@ def relaxed_step(
     """
     (g, gradient, jacobian), n, count = at, len(y), int(np.max(owner, initial=-1)) + 1
     gives, unlimited = np.eye(count)[owner], np.full(len(g), np.inf)
-    whole = np.diag(np.full(n + count, _Quadratic.slack_curvature))
+    whole = np.diag(np.full(n + count, _QuadraticProgram.slack_curvature))
     whole[:n, :n] = curvature
     found = optimum_step(
         whole,

@@ -49,7 +49,7 @@ class _FreeSample:
     low_penalty: Final = 1.0
 
 
-class _Shrinking:
+class _ShrinkingBoxes:
     """Boxes around the best designs of the lowest combinations."""
 
     combinations: Final = 256  # in the first round; their number is halved from round to round
@@ -144,11 +144,11 @@ class _Screen:
         # Consecutive points of the sequence fill the space evenly, so each combination takes a block of them.
         sample = self._landscape(self._designs(np.repeat(numbers, each), points))
         best = _best_of_each(at_optimum, sample, each)
-        numbers = _lowest(best, _Shrinking.combinations, kept)
+        numbers = _lowest(best, _ShrinkingBoxes.combinations, kept)
         best = best.select(numbers)
-        for k, radius in enumerate(_Shrinking.radii):
+        for k, radius in enumerate(_ShrinkingBoxes.radii):
             best = self._zoomed(numbers, best, radius)
-            remaining = max(_Descents.combinations, _Shrinking.combinations >> (k + 1))
+            remaining = max(_Descents.combinations, _ShrinkingBoxes.combinations >> (k + 1))
             left = _lowest(best, remaining, np.flatnonzero(np.isin(numbers, kept)).tolist())
             numbers, best = numbers[left], best.select(left)
         return {
@@ -158,7 +158,7 @@ class _Screen:
 
     def _zoomed(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
         """Return the lowest design of each combination after sampling a box around its lowest so far."""
-        each = _Shrinking.designs
+        each = _ShrinkingBoxes.designs
         offsets = self._rng.uniform(-radius, radius, (len(numbers) * each, len(self._free)))
         points = np.clip(np.repeat(best.points[:, self._free], each, axis=0) + offsets, 0.0, 1.0)
         return _best_of_each(best, self._landscape(self._designs(np.repeat(numbers, each), points)), each)
@@ -167,7 +167,7 @@ class _Screen:
         """Return the best end of descents from a combination's lowest designs, with the combination's values held."""
         # The designs at the optimum and the best one found; then the local minima of the sample.
         starts = [0, 1]
-        if len(designs.f) > 4 * _Shrinking.designs:
+        if len(designs.f) > 4 * _ShrinkingBoxes.designs:
             lowest, _ = local_minima(designs.points[:, self._free], designs.merit)
             starts += [int(k) for k in lowest if k > 1]
         # A design that cannot be evaluated has no slope to follow.

@@ -192,7 +192,7 @@ class Landscape:
 # --- straight lines between designs: they show whether two designs lie in one basin --------------------------
 
 
-class _Lines:
+class _StraightLines:
     """Positions on straight lines between designs, and how far the merit may rise along them."""
 
     barrier_positions: Final = 24  # at which a barrier between two designs is looked for
@@ -212,9 +212,9 @@ def barriers(evaluate: Callable[[Vector], Evaluations], one: Evaluations, others
         one: the one design.
         others: the other designs.
     """
-    fractions = np.linspace(0.0, 1.0, _Lines.barrier_positions + 2)[1:-1]
+    fractions = np.linspace(0.0, 1.0, _StraightLines.barrier_positions + 2)[1:-1]
     lines = one.points + fractions[:, None, None] * (others.points - one.points)
-    merit = evaluate(lines.reshape(-1, lines.shape[2])).merit.reshape(_Lines.barrier_positions, -1)
+    merit = evaluate(lines.reshape(-1, lines.shape[2])).merit.reshape(_StraightLines.barrier_positions, -1)
     higher = np.maximum(others.merit, one.merit)
     return np.asarray(merit.max(axis=0) > higher + Basins.barrier * np.abs(higher))
 
@@ -228,10 +228,10 @@ def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations
     distance = np.max(np.abs(ends.points - start), axis=1)
     # Rounding the distance puts ends of the same basin side by side: of these the lowest is taken.
     order = np.lexsort((ends.merit, distance.round(3)))
-    near = apart(ends.points, order[np.isfinite(ends.merit[order])], Basins.same, _Lines.nearest_ends)
-    fractions = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _Lines.path_positions))
+    near = apart(ends.points, order[np.isfinite(ends.merit[order])], Basins.same, _StraightLines.nearest_ends)
+    fractions = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _StraightLines.path_positions))
     # Most paths rise early or not at all: a few positions rule out most of those that rise.
-    for some in (fractions[:: _Lines.stride], np.delete(fractions, np.s_[:: _Lines.stride])):
+    for some in (fractions[:: _StraightLines.stride], np.delete(fractions, np.s_[:: _StraightLines.stride])):
         if near:
             falling = _only_fall(landscape, start, ends.points[near], some)
             near = [k for k, falls in zip(near, falling, strict=True) if falls]
@@ -244,7 +244,7 @@ def _only_fall(landscape: Landscape, start: Vector, ends: Vector, fractions: Vec
     # Equal numbers of steps along a line: a change of the number would look like a rise.
     merit = landscape(lines.reshape(-1, len(start)), together=len(fractions)).merit.reshape(-1, len(fractions))
     with np.errstate(invalid="ignore"):
-        small = largest_rise(merit) <= _Lines.path_rise * np.abs(merit[:, -1])
+        small = largest_rise(merit) <= _StraightLines.path_rise * np.abs(merit[:, -1])
     return np.asarray(np.isfinite(merit).all(axis=1) & small)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from functools import partial
+from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -335,7 +335,7 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
 
     Once the time is over, a start that meets the requirements is not tried again.
     """
-    accepted = partial(is_accepted, program, p, start)
+    accepted = acceptance(program, p, start)
     near = polished_by_quadratic_programs(program, p, start)
     near_enough = near is not None and np.max(np.abs(near.y - start)) < _Polished.same_basin
     if near is not None and near_enough and accepted(near) and not program.refuses(near.y, p):
@@ -343,7 +343,7 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
     as_found = point_as_found(program, p, start)
     for box, exact in ((1.0, False), (_Polished.same_basin, True), (_Polished.same_ripple, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
-        if point.status in _STALLED and _violation(program, p, point.y)[1] <= Violation.allowed_in_answer:
+        if point.status in _STALLED and point_as_found(program, p, point.y).solved:
             point = _stalled(program, p, point)
         if accepted(point):
             return point
@@ -360,16 +360,18 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
 
 def solved_again(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum solved again after its program was rebuilt with other steps; the same basin, updated digits."""
+    accepted = acceptance(program, p, point.y)
     for box, exact in ((_Polished.same_basin, False), (_Polished.same_ripple, False), (_Polished.same_ripple, True)):
         again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
-        if is_accepted(program, p, point.y, again):
+        if accepted(again):
             return again
-    return replace(point, f=_violation(program, p, point.y)[0])
+    return replace(point, f=_values(program, p, point.y)[0])
 
 
 def point_as_found(program: Program, p: Vector, y: Vector) -> Point:
     """Return a scaled design as an unconfirmed point without multipliers; it is solved if it is feasible."""
-    f, violation = _violation(program, p, y)
+    f, g = _values(program, p, y)
+    violation = _violation(program, p, y, f, g)
     count = len(program.owner)
     return Point(bool(violation <= Violation.allowed_in_answer), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
 
@@ -386,28 +388,30 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
     return replace(point, solved=True, status=AS_FOUND, lam_g=lam_g, lam_y=lam_y)
 
 
-def is_accepted(program: Program, p: Vector, start: Vector, found: Point) -> bool:
-    """Return whether a point is solved and counts as no worse than the design from which it was optimised."""
-    f, _ = _values(program, p, start)
+def acceptance(program: Program, p: Vector, start: Vector) -> Callable[[Point], bool]:
+    """Return the function that tells whether a point is solved and counts as no worse than its start."""
+    f, g = _values(program, p, start)
     highest = f + _Polished.higher * abs(f)
-    # Whether the start is valid need be known only of one that is lower.
-    if not found.solved or found.f <= highest:
-        return found.solved
-    violation = _violation(program, p, start)[1]
-    return found.f <= (highest + Violation.weight * violation if violation <= Violation.allowed else np.inf)
 
+    @cache
+    def highest_of_all() -> float:
+        violation = _violation(program, p, start, f, g)
+        return highest + Violation.weight * violation if violation <= Violation.allowed else np.inf
 
-def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
-    """Return the scaled objective, and the largest scaled violation; infinite if the design cannot be evaluated."""
-    f, g = _values(program, p, y)
-    valid = np.isfinite(f) and np.all(np.isfinite(g)) and not program.refuses(y, p)
-    return f, program.violation(g) if valid else np.inf
+    # Whether the start is valid need be known only if it is lower than the point.
+    return lambda found: found.solved and (found.f <= highest or found.f <= highest_of_all())
 
 
 def _values(program: Program, p: Vector, y: Vector) -> tuple[float, Vector]:
-    """Return the scaled objective and requirements."""
+    """Return the scaled objective and requirements of a design."""
     f, g = program.built.nlp.values(y, p)
     return float(f), np.asarray(g).ravel()
+
+
+def _violation(program: Program, p: Vector, y: Vector, f: float, g: Vector) -> float:
+    """Return the largest scaled violation from a design's values; infinite if the design cannot be evaluated."""
+    valid = np.isfinite(f) and np.all(np.isfinite(g)) and not program.refuses(y, p)
+    return program.violation(g) if valid else np.inf
 
 
 class _Correction:

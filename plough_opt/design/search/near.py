@@ -142,7 +142,7 @@ def _is_downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
     return bool(largest_rise(merit) <= Basins.barrier * abs(merit[0]))
 
 
-class _Least:
+class _LeastViolation:
     """Bounds of the search for the least violation, and what of it counts."""
 
     violated: Final = 1e-7  # A smaller violation, in units of the limit, is rounding.
@@ -173,16 +173,16 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector, limit
     """
     sample = explored.sample
     order = np.argsort(sample.violation, kind="stable")[: np.count_nonzero(np.isfinite(sample.violation))]
-    starts = [start, *sample.points[apart(sample.points, order, _Least.distance, _Least.starts)]]
+    starts = [start, *sample.points[apart(sample.points, order, _LeastViolation.distance, _LeastViolation.starts)]]
     known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
         ends = explored.least_violating
         if not len(ends.f):
             ends = concatenated([least_violation(landscape, one) for one in starts])
         ends = ends.select(np.argsort(ends.violation, kind="stable"))
-        ends = ends.select(ends.violation <= (1.0 + _Least.excess) * ends.violation[0])
+        ends = ends.select(ends.violation <= (1.0 + _LeastViolation.excess) * ends.violation[0])
         starts, known = list(ends.points), ends.violation.tolist()
-    starts = starts[: _Least.most_polished]
+    starts = starts[: _LeastViolation.most_polished]
     program = landscape.program.with_steps(landscape.p, starts=starts)
     points, limit = list[tuple[Point, Vector]](), limit or TimeLimit("near")
     for one, violation in zip(starts, known, strict=False):
@@ -191,7 +191,7 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector, limit
         points.append(_polished(landscape, program, one, violation, limit))
     solved = [own for own in points if own[0].solved] or points
     best, short = min(solved, key=lambda own: own[0].f)
-    if best.f < _Least.violated:
+    if best.f < _LeastViolation.violated:
         return best.y
     raise _infeasible(program, best, short, landscape.designs_tried)
 
@@ -213,9 +213,9 @@ def _polished(
     p = landscape.p
     if not np.isfinite(violation):
         return program.solve_relaxed(y, p)
-    for box, exact in _Least.attempts:
+    for box, exact in _LeastViolation.attempts:
         point, short = program.solve_relaxed(y, p, box=box, exact=exact)
-        if point.solved and point.f <= (1.0 + _Least.higher) * violation + _Least.violated:
+        if point.solved and point.f <= (1.0 + _LeastViolation.higher) * violation + _LeastViolation.violated:
             return point, short
         if limit.passed("further attempts to meet the requirements"):
             break
@@ -236,7 +236,7 @@ def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequ
         InfeasibleDesign: no feasible design was found.
     """
     loose, short = program.solve_relaxed(start, p, fixed=fixed)
-    if loose.f >= _Least.violated:
+    if loose.f >= _LeastViolation.violated:
         raise _infeasible(program, loose, short)
     if len(fixed) < len(start):
         point = program.solve(loose.y, p, SolveOptions(near=len(fixed) > 0), fixed=fixed)
@@ -267,7 +267,7 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
     conflicts = {
         r.name: float(s * scale)
         for r, s, scale in zip(declared.requirements, short, program.scales, strict=True)
-        if s > _Least.violated
+        if s > _LeastViolation.violated
     }
     added = {r.name for r in declared.requirements if r.auxiliary}
     # A requirement that the program added is named only if no other fails.
@@ -277,12 +277,12 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
         for r, largest in zip(declared.requirements, multipliers, strict=True)
-        if largest > _Least.holds and not r.auxiliary and r.name not in conflicts
+        if largest > _LeastViolation.holds and not r.auxiliary and r.name not in conflicts
     ]
     for variable, y, multiplier in zip(declared.variables, point.y, point.lam_y, strict=True):
         # A box around the point may have held it instead.
-        at_bound = min(y, 1.0 - y) < _Least.near_bound
-        if abs(multiplier) > _Least.holds and at_bound and not variable.auxiliary:
+        at_bound = min(y, 1.0 - y) < _LeastViolation.near_bound
+        if abs(multiplier) > _LeastViolation.holds and at_bound and not variable.auxiliary:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)

@@ -236,7 +236,8 @@ class AccuracyStudy(Saveable):
             than = ", the only method that reaches it" if others else ""
             if second is not None:
                 times = _times(second.seconds / best.seconds)
-                than = f", {f'{times}cheaper than' if times else 'about as cheap as'} {second.label}"
+                cheaper = f"{times}cheaper than" if times else "about as cheap as"
+                than = f", {cheaper} {second.label}"
             clauses = [f"for {wanted} take {best.label}: {_result(best, key)}{than}"]
             if best.checked is not None:
                 clauses.append(f"{duration_text(best.checked)} with the check of simulate")

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
 import casadi as ca
@@ -35,6 +34,7 @@ from plough_opt.core.quantities import EVERY, quantities
 from plough_opt.core.tables import columns_of, heading_of, raise_listed, read_rows, table_of
 from plough_opt.core.units import Unit, in_si
 from plough_opt.design.declarations import Scaled
+from plough_opt.laws.forces import cone_index
 from plough_opt.motion import simulate
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene, quantities_of, with_quantities
@@ -504,8 +504,12 @@ def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
 SceneOfRows: TypeAlias = tuple[Scene, Expression | None, NDArray[np.intp]]
 """A scene, its duration [s] or None, and the indices of the rows that were measured in it."""
 
-# Results of a scene that do not depend on its motion: their measures ask a run for its scene alone.
-_OF_SCENE: Final = ("loosened_radius", "added_mass", "cone_index")
+# Results of a scene that do not depend on its motion.
+_OF_SCENE: Final[dict[str, Callable[[Scene], Expression]]] = {
+    "loosened_radius": lambda scene: scene.loosened_radius,
+    "added_mass": lambda scene: scene.carried_soil,
+    "cone_index": lambda scene: cone_index(scene.soil),
+}
 # Phase [rad] of the fastest oscillation between output times. With `_NODES` it interpolates the force to 1e-8.
 _PHASE: Final = 0.25
 # Number of nodes of the polynomial that interpolates the force between output times.
@@ -590,8 +594,7 @@ class Rows:
         values = model.values(ca.vertsplit(y)) | {key: c[k] for k, key in enumerate(conditions)}
         scene = model.scene(values)
         if result in _OF_SCENE:
-            still: Any = SimpleNamespace(scene=scene)
-            value = MEASURES[result].of(still)
+            value = _OF_SCENE[result](scene)
         elif closed:
             value = scene.steady_resistance
         else:

@@ -544,9 +544,9 @@ class SoilDistribution:
 
 def _numbers(what: str, values: ArrayLike) -> Array:
     """Return a number or an array as an array; raise InputError for anything else, including NaN."""
-    alike = isinstance(values, str | bytes | bool | np.bool_)  # which NumPy takes for numbers
+    taken_for_numbers = isinstance(values, str | bytes | bool | np.bool_)  # by NumPy
     refusal = f"{what} = {{}} must be a number or an array of numbers"
-    return array_of(values, refusal, lambda array: not alike and not np.any(np.isnan(array)))
+    return array_of(values, refusal, lambda array: not taken_for_numbers and not np.any(np.isnan(array)))
 
 
 def _check_draw(count: int, seed: int) -> None:

@@ -246,7 +246,7 @@ class Design:
             search: extent of the search.
 
                 * ``"auto"``: all variables, by a sample, evolution and descents; IPOPT then optimises the basins that
-                  can be best. After 30 s of processor time no further part of the search begins, nor a refinement of
+                  can be best. After 20 s of processor time no further part of the search begins, nor a refinement of
                   its integration steps or a catalogue value: the best design so far is checked, and one of its warnings
                   names what was left out.
                 * ``"thorough"``: the same with four times the effort.

@@ -327,8 +327,8 @@ class RunGroup:
         return one.map(count, "serial")
 
 
-MANY_RUNS = 16
-"""Least number of runs in a group for which compiling their jets, which takes half a second, soon pays."""
+MANY_STEPS = 3000
+"""Least number of steps of a group's runs, all together, at which compiling their jets, half a second, soon pays."""
 
 
 def grouped_runs(
@@ -360,7 +360,7 @@ def grouped_runs(
         inputs = ca.Function("inputs", [y, p], [ca.densify(parameters)]).expand()
         sparsity = ca.Function("stacked", [y, p], [ca.vec(parameters)]).jac_sparsity(0, 0)
         varying = tuple(sorted({row % parameters.shape[0] for row in sparsity.row()}))
-        compiled = len(members) >= by_code
+        compiled = len(members) * solver.timeline.steps >= by_code
         groups.append(RunGroup(solver, first, varying, tuple(members), inputs, y.numel(), compiled))
     return groups
 
@@ -433,7 +433,7 @@ def hessian_function(y: ca.MX, p: ca.MX, lam_f: ca.MX, lam_g: ca.MX, hessian: ca
     return ca.Function("hess_lag", [y, p, lam_f, lam_g], [ca.triu(hessian)], names, result)
 
 
-def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None], by_code: float = MANY_RUNS) -> Nlp:
+def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None], by_code: float = MANY_STEPS) -> Nlp:
     """Return the program of an objective and requirements.
 
     Args:
@@ -441,7 +441,7 @@ def build_nlp(parts: Split, y: ca.MX, p: ca.MX, steps: list[int | None], by_code
         y: scaled variables.
         p: parameters.
         steps: for each run, the number of steps, or None for the method it was written with.
-        by_code: number of runs in a group from which on their first derivatives are machine code.
+        by_code: number of steps of a group's runs from which on their first derivatives are machine code.
     """
     every = algebra_of(parts, y, p)
     averages = [averages_only(run, every, 2 + k) for k, run in enumerate(parts.runs)]

@@ -17,7 +17,7 @@ from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
-from plough_opt.design.model.nlp import MANY_RUNS, Nlp, Split, as_machine_code, build_nlp, first_slack, relaxed, split
+from plough_opt.design.model.nlp import MANY_STEPS, Nlp, Split, as_machine_code, build_nlp, first_slack, relaxed, split
 from plough_opt.design.model.population import LinearVariable, Population, linear_variables
 from plough_opt.design.model.tight_integration import (
     TightEvaluation,
@@ -300,7 +300,7 @@ class Program:
         y, p = self._y, self._p
         parts = cached(self._caches.parts, key, lambda: split(self.scaled(y, p), [y, p]))
         # A program that is translated as a whole cannot call machine code.
-        by_code = math.inf if self.compiled else 1 if self.many_slopes else MANY_RUNS
+        by_code = math.inf if self.compiled else 1 if self.many_slopes else MANY_STEPS
         # The scaled program alone: what is built must not refer to the cache that it is kept in.
         scaled = replace(self, checked=None, _built=None, _caches=_Caches())
         return BuiltProgram(scaled, steps, partial(build_nlp, parts, y, p, by_code=by_code))

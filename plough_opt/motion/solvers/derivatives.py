@@ -23,7 +23,6 @@ from plough_opt.motion.methods import DOP853
 from plough_opt.motion.solvers.integrators import Integration, integration
 from plough_opt.motion.solvers.plan import finer
 from plough_opt.motion.solvers.steps import (
-    Average,
     OneStep,
     Timeline,
     at_outputs,
@@ -38,7 +37,7 @@ from plough_opt.motion.solvers.steps import (
 Vector = NDArray[np.float64]
 _Symbols = TypeVar("_Symbols", ca.SX, ca.MX)
 # Runs whose derivatives are checked, out of all that were given: as many as take this number of steps together, which
-# is a second, but within these limits.
+# is a second, but within these limits. If even the fewest take more, their steps are compiled, which takes a second.
 _MOST_CHECKED_STEPS = 10_000
 _MOST_RUNS = 8
 _FEWEST_RUNS = 2
@@ -117,67 +116,46 @@ def jets(
     one = unbroken(equation, timeline, step, count)
     states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
     width = first.shape[1]
-    columns = [moments[:, column::width] for column in range(width)]
-    part = None if ramp is None else ramp_part
-    averages = pooled(columns, _average(spans, part, count), equation.count, count)
-    paths = [ca.horzcat(first[:, column], states[:, column::width]) for column in range(width)]
+    moving = None if ramp is None else (ramp_part, spans[3, :])
+    averages = pooled(moments, spans[1, :], equation.count, count, moving)
+    # Rows of w and below them of w', each with a row for each column of the jet.
+    paths = ca.horzcat(ca.vec(first), ca.reshape(states, 2 * width, steps))[
+        [*range(0, 2 * width, 2), *range(1, 2 * width, 2)], :
+    ]
     is_duration = [position == p.numel() - 1 for position in varying]
     read = _read(timeline, paths, (p[-1], ramp), is_duration)
-    result = ca.vertcat(ca.horzcat(*map(ca.vec, read)), *averages)
-    return ca.Function("jets", [p], [result])
+    return ca.Function("jets", [p], [ca.vertcat(read, *averages)])
 
 
-def _average(spans: ca.MX | ca.DM, ramp: ca.MX | None, count: int) -> Average:
-    """Return the function that averages the columns of a jet over the steps.
-
-    Args:
-        spans: of the steps.
-        ramp: jet of the ramp's part of the duration if the step sizes depend on it, else None.
-        count: number of varying parameters.
-    """
-
-    def average(columns: Sequence[ca.MX]) -> list[ca.MX]:
-        found = [column @ spans[1, :].T for column in columns]
-        if ramp is None:
-            return found
-        more = product(ca.horzsplit(ramp), [column @ spans[3, :].T for column in columns], count)
-        return [a + b for a, b in zip(found, more, strict=True)]
-
-    return average
-
-
-def _read(
-    timeline: Timeline, paths: list[ca.MX], times: tuple[ca.MX, ca.MX | None], is_duration: list[bool]
-) -> list[ca.MX]:
-    """Return the jets of the states at the outputs from those at the ends of the steps.
+def _read(timeline: Timeline, paths: ca.MX, times: tuple[ca.MX, ca.MX | None], is_duration: list[bool]) -> ca.MX:
+    """Return the jets of the states at the outputs, output by output, from those at the ends of the steps.
 
     Args:
         timeline: steps and outputs.
-        paths: value, first and second derivatives of the states; each has a column for each end.
+        paths: jets of w and below them of w', a column for each end.
         times: duration of the run [s], and time of a tow ramp at whose end a step ends [s].
         is_duration: whether each varying parameter is the duration, on which the interpolation depends.
     """
-    duration, ramp = times
-    read = [at_outputs(timeline, path, duration, ramp) for path in paths]
+    (duration, ramp), width = times, paths.shape[0] // 2
+    found = at_outputs(timeline, paths, duration, ramp)
+    found = ca.reshape(found, width, 2 * found.shape[1]).T
     if timeline.aligned or not any(is_duration):
-        return read
-    time, one = ca.MX.sym("time"), ca.MX.sym("path", *paths[0].shape)
+        return found
+    read, path = ca.horzsplit(found), [paths[[k, width + k], :] for k in range(width)]
+    time, one = ca.MX.sym("time"), ca.MX.sym("path", *path[0].shape)
     once = ca.jacobian(ca.vec(at_outputs(timeline, one, time)), time)
-    slope, bend = (
-        ca.Function("by_duration", [one, time], [ca.reshape(by, *read[0].shape)])
-        for by in (once, ca.jacobian(once, time))
-    )
+    slope, bend = (ca.Function("by_duration", [one, time], [by]) for by in (once, ca.jacobian(once, time)))
     count = len(is_duration)
     for a in range(count):
         if is_duration[a]:
-            read[1 + a] += slope(paths[0], duration)
-    for column, (a, b) in enumerate(pairs(count) if len(paths) > 1 + count else [], start=1 + count):
+            read[1 + a] += slope(path[0], duration)
+    for column, (a, b) in enumerate(pairs(count) if width > 1 + count else [], start=1 + count):
         for this, other in ((a, b), (b, a)):
             if is_duration[this]:
-                read[column] += slope(paths[1 + other], duration)
+                read[column] += slope(path[1 + other], duration)
         if is_duration[a] and is_duration[b]:
-            read[column] += bend(paths[0], duration)
-    return read
+            read[column] += bend(path[0], duration)
+    return ca.horzcat(*read)
 
 
 def _at_start(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Function:
@@ -317,7 +295,8 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
     if solver.structure.orbit != "transient" or not varying:
         return 0.0
     order = 2 if solver.accuracy.order_8 else 1
-    both = [jets_of(one, varying, order) for one in (solver, finer_than(solver))]
+    long = solver.timeline.steps * _FEWEST_RUNS > _MOST_CHECKED_STEPS
+    both = [jets_of(one, varying, order, compiled=long) for one in (solver, finer_than(solver))]
     most = max(_FEWEST_RUNS, min(_MOST_RUNS, _MOST_CHECKED_STEPS // solver.timeline.steps))
     chosen = np.unique(np.linspace(0, given.shape[1] - 1, most).round().astype(int))
     worst = 0.0

@@ -145,7 +145,8 @@ def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX |
 
     Args:
         timeline: steps and outputs.
-        states: states at the ends of all steps, including the start, a column each.
+        states: states at the ends of all steps, including the start, a column each; the upper half of the rows has w
+            and the lower half w', if there are more than two.
         duration: simulated time [s].
         ramp: time of a ramp [s] whose end is an additional end of a step; None without one.
     """
@@ -157,7 +158,7 @@ def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX |
         return ca.if_else(reached, states[:, columns], states[:, [column + 1 for column in columns]])
     if timeline.aligned:
         return states[:, columns]
-    w, rate = states[0, :], states[1, :]
+    w, rate = ca.vertsplit(states, states.shape[0] // 2)
     w_by_w, w_by_rate, rate_by_w, rate_by_rate = _matrices(timeline)
     return ca.vertcat(w @ w_by_w + duration * (rate @ w_by_rate), (w @ rate_by_w) / duration + rate @ rate_by_rate)
 
@@ -224,9 +225,6 @@ def hermite(x: Array, t: Array) -> tuple[Array, Array, Array, Array]:
     )
 
 
-Average = Callable[[Sequence[ca.MX]], list[ca.MX]]
-"""Taylor coefficients of a quantity, with a column for each step -> those of its average over the steps."""
-
 # Locates a kink to 1e-3 of a step; the error of a second derivative is of the fourth power of that.
 _BISECTIONS = 10
 
@@ -250,25 +248,60 @@ def product(x: Sequence[Any], y: Sequence[Any], count: int) -> list[Any]:
     return found
 
 
-def pooled(moments: Sequence[ca.MX], average: Average, signals: int, count: int = 0) -> tuple[ca.MX, ca.MX]:
+def pooled(
+    moments: ca.MX,
+    sizes: ca.MX | ca.DM,
+    signals: int,
+    count: int = 0,
+    moving: tuple[ca.MX, ca.MX | ca.DM] | None = None,
+) -> tuple[ca.MX, ca.MX]:
     """Return the means, and the mean squares about the mean, over a run from the moments of its steps.
 
     Args:
-        moments: Taylor coefficients of the moments (means of all signals, then their spreads), a column for each step.
-        average: average over the steps.
+        moments: jets of the moments (means of all signals, then their spreads), step by step.
+        sizes: sizes of the steps as fractions of the duration, a row.
         signals: number of signals.
         count: number of parameters by which the moments are differentiated.
+        moving: if the sizes depend on a ramp, the jet of its part of the duration, and the sizes' parts of that.
 
     Returns:
-        Both with the Taylor coefficients as columns.
+        Both with a row for each signal and the columns of the jet.
     """
-    step_means, spreads = [m[:signals, :] for m in moments], [m[signals:, :] for m in moments]
-    means, squared, steps = average(step_means), spreads[0].shape[0], moments[0].shape[1]
+    # All columns of the jet together: with many steps CasADi takes longer to build a graph than to evaluate it.
+    rows, steps = moments.shape[0], sizes.shape[1]
+    width = moments.shape[1] // steps
+    every = ca.reshape(moments, rows * width, steps)
+
+    def average(summed: Callable[[ca.MX | ca.DM], ca.MX]) -> ca.MX:
+        """Return the jets of averages, given the function from weights of the steps to the jets of sums."""
+        found = summed(sizes)
+        if moving is None:
+            return found
+        ramp, parts = moving
+        return found + ca.horzcat(*product(ca.horzsplit(ramp), ca.horzsplit(summed(parts)), count))
+
+    def summed_moments(weights: ca.MX | ca.DM) -> ca.MX:
+        sums: ca.MX = every @ weights.T
+        return ca.reshape(sums, rows, width)
+
+    def summed_squares(weights: ca.MX | ca.DM) -> ca.MX:
+        return ca.vertcat(*(_summed_square(each, weights, count) for each in drifts))
+
+    means, spreads = ca.vertsplit(average(summed_moments), [0, signals, rows])
     # The spreads within steps and the spread of their means are both positive, so nothing cancels in the sum.
-    drift = [m[:squared, :] - ca.repmat(mean[:squared], 1, steps) for m, mean in zip(step_means, means, strict=True)]
-    squares = product(drift, drift, count)
-    variances = average([spread + square for spread, square in zip(spreads, squares, strict=True)])
-    return ca.horzcat(*means), ca.horzcat(*variances)
+    drifts = [every[k::rows, :] - ca.repmat(means[k, :].T, 1, steps) for k in range(rows - signals)]
+    return means, spreads + average(summed_squares) if drifts else spreads
+
+
+def _summed_square(jet: ca.MX, weights: ca.MX | ca.DM, count: int) -> ca.MX:
+    """Return the jet of the weighted sum of a quantity's square, as a row; ``jet`` has a column for each summand."""
+    sums = (jet[0, :] * weights) @ jet.T
+    slopes, bends = 2.0 * sums[:, 1 : 1 + count], 2.0 * sums[:, 1 + count :]
+    if bends.numel():
+        first = jet[1 : 1 + count, :]
+        mixed = 2.0 * (first * ca.repmat(weights, count, 1)) @ first.T
+        bends = bends + ca.horzcat(*(mixed[a, b] for a, b in pairs(count)))
+    return ca.horzcat(sums[:, 0], slopes, bends)
 
 
 def ends(timeline: Timeline, duration: Column, ramp: Column) -> tuple[Column, Column]:
@@ -395,9 +428,8 @@ def unbroken(equation: Equation, timeline: Timeline, one: ca.Function, count: in
         part = stacked(part, span[4:]) if span.numel() > 2 else part
         reached, own = one(reached, part, p)
         found.append(own)
-    sizes = stacked(at[0], at[1] - at[0], 1.0 - at[1])
-    columns = [ca.horzcat(*(own[:, k] for own in found)) for k in range(found[0].shape[1])]
-    both = pooled(columns, lambda parts: [part @ sizes for part in parts], equation.count, count)
+    sizes = ca.horzcat(at[0], at[1] - at[0], 1.0 - at[1])
+    both = pooled(ca.horzcat(*found), sizes, equation.count, count)
     parted = ca.Function("parted", given, [reached, stacked(*both)])
     after, moments = one(state, span, p)
     at = crossings(equation, span.numel())(state[:, 0], after[:, 0], span, p)
@@ -481,6 +513,6 @@ def run_from(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) 
     count = sizes.shape[1]
     one = unbroken(equation, timeline, step(equation, spans.shape[0], tableau))
     states, moments = one.mapaccum(count)(first, spans, ca.repmat(p, 1, count))
-    averages = pooled([moments], lambda parts: [part @ sizes.T for part in parts], equation.count)
+    averages = pooled(moments, sizes, equation.count)
     found = at_outputs(timeline, ca.horzcat(first, states), p[-1], ramp)
     return ca.Function("run_from", [first, p], [found, *averages])

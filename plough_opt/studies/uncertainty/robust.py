@@ -23,7 +23,7 @@ from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.design import Design, LocalOptimum, Optimum, Progress
 from plough_opt.design.model.program import Program
-from plough_opt.design.search.effort import TimeLimit
+from plough_opt.design.search.effort import AUTO_SECONDS, TimeLimit
 from plough_opt.design.solving import Known, Request, solve_program
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.distribution import Response, Responses, SoilDistribution, SoilSamples
@@ -414,12 +414,15 @@ class _RobustProgram:
         self.robust, self.follow, self._declared = robust, follow, design.declared
         self._program = Program.of(self._declared)
 
-    def solve(self, spreads: Spreads, progress: Progress, near: tuple[LocalOptimum, Optimum] | None = None) -> Optimum:
+    def solve(
+        self, spreads: Spreads, progress: Progress, limit: TimeLimit, near: tuple[LocalOptimum, Optimum] | None = None
+    ) -> Optimum:
         """Return the best optimum with certain spreads.
 
         Args:
             spreads: standard deviations of the results.
             progress: as in `best_robust`.
+            limit: of the processor time.
             near: a local optimum near which to optimise, and the result of the search that found it; None to search.
         """
         known = None
@@ -427,9 +430,9 @@ class _RobustProgram:
             y = [v.scaled(near[0].variables[v.name]) for v in self._declared.variables]
             known = Known(np.array([y]), near[1].search)
         values = self._declared.parameter_values({spread_of(name): spreads[name] for name in self.follow})
-        limit, began = TimeLimit("auto"), time.perf_counter()
+        request = Request(values, "auto", "tolerance", 0, progress, time.perf_counter(), limit, known)
         with without_notices():
-            best = solve_program(self._program, Request(values, "auto", "tolerance", 0, progress, began, limit, known))
+            best = solve_program(self._program, request)
         return replace(best, origin=Origin(declarations=self._declared.plain(values), seed=0).now())
 
 
@@ -452,6 +455,7 @@ def best_robust(
         NotConverged: the optimiser did not find an optimum.
     """
     programs: dict[frozenset[str], _RobustProgram] = {}
+    limit = TimeLimit("auto")
 
     def program_for(now: Spreads) -> _RobustProgram:
         varying = frozenset(name for name, spread in now.items() if spread)
@@ -467,19 +471,25 @@ def best_robust(
             if solution and all(abs(now[name] - used[name]) <= _SETTLED * used[name] for name in program.follow):
                 break
             used, program = now, program_for(now)
-            solution = program.solve(now, progress, (at, searched))
+            solution = program.solve(now, progress, limit, (at, searched))
             at = solution.local_optima[0]
         assert solution is not None  # solved in the first round at the latest
         return solution, program.robust
 
     first = spreads(start)
-    searched = program_for(first).solve(first, progress)
-    limit = searched.objective + _CAN_WIN * abs(searched.objective)
-    candidates = [local for local in searched.local_optima if local.objective <= limit]
+    searched = program_for(first).solve(first, progress, limit)
+    highest = searched.objective + _CAN_WIN * abs(searched.objective)
+    candidates = [local for local in searched.local_optima if local.objective <= highest]
     found: list[tuple[Optimum, Robust]] = []
     failures = []
     for number, candidate in enumerate(candidates):
         progress("setting the widths of the best designs", number / len(candidates))
+        if number and limit.passed(
+            left := f"solving {len(candidates) - number} local optima again with their own widths"
+        ):
+            failures.append(f"after {AUTO_SECONDS:g} s of processor time the search left out {left}")
+            candidates = candidates[:number]
+            break
         try:
             found.append(settled(candidate, None if number else searched))
         except (InfeasibleDesign, NotConverged) as error:

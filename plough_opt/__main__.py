@@ -1,5 +1,6 @@
 """Entry point of `plough-opt` and `python -m plough_opt`."""
 
+import gc
 import os
 import sys
 
@@ -11,6 +12,7 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "1")
 def main() -> int:
     """Import the command line and run it; return the exit status."""
     os.environ.setdefault(*_THREADS)
+    gc.disable()  # until all is imported: hundreds of passes would find nothing
     try:
         from plough_opt.app.main import main as run  # may take seconds, in which Ctrl-C must print no traceback
 

@@ -8,6 +8,7 @@ continues when it is started again).
 
 import argparse
 import contextlib
+import gc
 import io
 import os
 import re
@@ -18,8 +19,6 @@ from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any, Final, NoReturn
-
-import shtab
 
 from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError, about, nearest, printable
 from plough_opt.core.process import load_additions, without_notices
@@ -217,6 +216,8 @@ def _compare(verb: _Parser) -> None:
 
 
 def _completion(verb: _Parser) -> None:
+    import shtab  # slow to import
+
     verb.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="your shell")
 
 
@@ -351,8 +352,14 @@ class _Command:
     module: str = "commands"
     reads: bool = True  # a problem file, which may be changed by --set
 
-    def arguments(self, name: str, verb: _Parser) -> None:
-        """Add the arguments of the command to its parser, and the module and function that run it."""
+    def arguments(self, name: str, completed: object, verb: _Parser) -> None:
+        """Add the arguments of the command to its parser, and the module and function that run it.
+
+        Args:
+            name: of the command.
+            completed: what marks a file name for shtab, which completes it; None if nothing is completed.
+            verb: the parser.
+        """
         how_much = verb.add_mutually_exclusive_group()
         how_much.add_argument("-q", "--quiet", action="store_true", help="hide progress, notes and names of written"
                               " files")  # fmt: skip
@@ -360,7 +367,7 @@ class _Command:
         how_much.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
         if self.reads:
             file = verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
-            file.complete = shtab.FILE  # type: ignore[attr-defined]  # makes shtab complete file names
+            file.complete = completed  # type: ignore[attr-defined]  # an attribute that shtab adds to arguments
             change = 'change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable'
             verb.option("set", 'KEY="VALUE"', change, action="append", default=[])
         self.add(verb)
@@ -390,22 +397,30 @@ _COMMANDS: Final = {
 }  # fmt: skip
 
 
-def parser(*, whole: bool = False) -> argparse.ArgumentParser:
-    """Return the parser of the command line; ``whole`` adds the arguments of all commands at once."""
+def parser(completed: object = None) -> argparse.ArgumentParser:
+    """Return the parser of the command line; to complete it the arguments of all commands are added at once.
+
+    Args:
+        completed: what marks a file name for shtab, which completes it; None if nothing is completed.
+    """
     every = _Parser(prog="plough-opt", description="Design of subsoiler ploughshares: draft, oscillation, constraints.")
     every.add_argument("--version", action="version", version=f"plough-opt {version('plough_opt')}")
     verbs = every.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, command in _COMMANDS.items():
         aliases = ["optimize"] if name == "optimise" else []
-        verb = verbs.add_parser(name, help=command.help, aliases=aliases, add=partial(command.arguments, name))
-        if whole:
+        verb = verbs.add_parser(
+            name, help=command.help, aliases=aliases, add=partial(command.arguments, name, completed)
+        )
+        if completed is not None:
             verb.fill()
     return every
 
 
 def completion(options: argparse.Namespace) -> None:
     """Print a shell script that completes commands, options and file names."""
-    print(shtab.complete(parser(whole=True), shell=options.shell))
+    import shtab  # slow to import
+
+    print(shtab.complete(parser(shtab.FILE), shell=options.shell))
 
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -427,7 +442,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     try:
         with interruptible(), without_notices(), messages(options):
-            getattr(import_module(options.module), options.function)(options)
+            module = import_module(options.module)
+            gc.enable()  # the entry point disabled it
+            getattr(module, options.function)(options)
         if sys.stdout is not None:  # None if the parent process closed it
             sys.stdout.flush()
     except (InputError, DomainError) as error:

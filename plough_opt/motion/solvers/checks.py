@@ -337,13 +337,17 @@ def broken_wave(run: Run) -> tuple[str, ...]:
     count = math.floor(duration / period + _WHOLE_WAVES)
     if count < 1:
         return ()
-    until = min(count * period, duration)
-    before = run.time < until
-    force = np.append(run.mount_force[before], np.interp(until, run.time, run.mount_force))
-    whole = np.trapezoid(force, np.append(run.time[before], until)) / until
+    until, force, intervals = min(count * period, duration), run.mount_force, len(run.time) - 1
+    # By the trapezoidal rule, whose intervals are equal but for the one in which the waves end.
+    last, part = divmod(until / duration * intervals, 1.0)
+    last, part = (int(last), part) if last < intervals else (intervals - 1, 1.0)
+    first, before, after = (float(force[k]) for k in (0, last, last + 1))
+    summed = float(force[: last + 1].sum()) - 0.5 * (first + before)
+    whole = (summed + part * (before + 0.5 * part * (after - before))) / until
     if whole == 0.0:  # nothing resists
         return ()
-    percent = 100.0 * float(np.trapezoid(run.mount_force, run.time) / duration / whole - 1.0)
+    every = float(force.sum()) - 0.5 * (first + float(force[-1]))
+    percent = 100.0 * (every / duration / whole - 1.0)
     return (broken_wave_in_words(percent, count, count * period),) if abs(percent) > BROKEN_WAVE else ()
 
 

@@ -278,7 +278,8 @@ def pooled(
         if moving is None:
             return found
         ramp, parts = moving
-        return found + ca.horzcat(*product(ca.horzsplit(ramp), ca.horzsplit(summed(parts)), count))
+        more: ca.MX = ca.horzcat(*product(ca.horzsplit(ramp), ca.horzsplit(summed(parts)), count))
+        return found + more
 
     def summed_moments(weights: ca.MX | ca.DM) -> ca.MX:
         sums: ca.MX = every @ weights.T

@@ -8,7 +8,7 @@ outputs are read from the polynomial of degree 5 through deflection, rate and ac
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Statements, loaded, variants
 from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import maximum, stacked
 from plough_opt.core.files import text_of
+from plough_opt.core.rows import by_rows
 from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.solvers.orbit import DIFFERENCE, LAST_STEP, MOST_ITERATIONS, near_orbit, returning
 from plough_opt.motion.solvers.plan import rates
@@ -52,8 +54,6 @@ _WIDEST = 8
 _RUNS_AT_ONCE = 1024
 # Row of `in` that has the number of steps.
 _STEPS = -5
-# Numbers of orbits whose maps are kept, as many as descents with a dozen variables need.
-_MAPS = 32
 
 # Results of `Equation.outputs`.
 _ROWS = 5
@@ -192,6 +192,30 @@ def source_of(structure: Structure) -> str:
     return text_of("plough_opt.core", "vectors.c") + source
 
 
+@lru_cache(maxsize=64)
+def _planned(equation: Equation, phase: float) -> Callable[..., list[Array]]:
+    """Return what is known of runs before they are integrated, from their parameters, a row for each run.
+
+    Args:
+        equation: the equation of motion.
+        phase: of a step by `Rates.summed` [rad].
+
+    Returns:
+        Function of the parameters. Its results are the states at time 0, or near those of orbits; the units of states;
+        and the number of steps by the phase alone beside the number that leaves a lasting oscillation its amplitude.
+    """
+    p, known = equation.symbols(ca.SX)
+    found = rates(known, equation.structure.terms)
+    coarse, lasting = found.summed * p[-1] / phase, found.lasting_phase(p[-1])
+    shorter = maximum((lasting / _LASTING_PHASE) ** (1.0 / _LOSS_ORDER) * phase / COARSE_PHASE, 1.0)
+    if equation.structure.orbit == "periodic":
+        first, unit = near_orbit(equation).expand()(p)
+    else:
+        first, unit = equation.start(p[:-1]), ca.SX.ones(2)
+    results = [first, unit, stacked(coarse, shorter * coarse)]
+    return by_rows(ca.Function("planned", [p], [ca.densify(result) for result in results]))
+
+
 class ManyRuns:
     """Runs of one structure, at very many parameters.
 
@@ -209,10 +233,7 @@ class ManyRuns:
         self._code = compiled_steps(structure)
         if self._code is None:
             source_of(structure)  # raises the error if an operation is the cause
-        # Number of orbits -> the map of the states near them.
-        self._near = (
-            lru_cache(_MAPS)(near_orbit(self._equation).expand().map) if structure.orbit == "periodic" else None
-        )
+        self._planned = _planned(self._equation, COARSE_PHASE_READ if outputs else COARSE_PHASE)
 
     @property
     def size(self) -> int:
@@ -237,10 +258,10 @@ class ManyRuns:
             threads: number of threads of machine code; the results do not depend on it.
         """
         results = np.full((len(p), self.size), np.nan)
-        known = dict(zip(self._equation.names, p.T, strict=False))
-        with np.errstate(all="ignore"):
-            steps = self._steps(known, p[:, -1], finer)
-        few = np.isfinite(steps) & np.isfinite(p).all(axis=1)
+        first, unit, (coarse, needed) = (part.T for part in self._planned(p))
+        steps = np.maximum(np.ceil(finer * needed), _FEWEST_COARSE_STEPS)
+        # Whether a run is integrated does not depend on `finer`.
+        few = (coarse <= _MOST_COARSE_STEPS) & np.isfinite(steps) & np.isfinite(p).all(axis=1)
         groups, members = steps.reshape(-1, together), few.reshape(-1, together)
         steps = np.repeat(groups.max(axis=1, initial=0.0, where=members), together)
         sound = np.flatnonzero(few)
@@ -249,7 +270,7 @@ class ManyRuns:
         chunks = [order[k : k + _RUNS_AT_ONCE] for k in range(0, len(order), _RUNS_AT_ONCE)]
 
         def enter(chunk: NDArray[np.int64]) -> None:
-            results[chunk] = self._run(p[chunk], steps[chunk])
+            results[chunk] = self._run(p[chunk], steps[chunk], first[:, chunk], unit[:, chunk])
 
         if threads > 1 and len(chunks) > 1 and self.compiled:
             with ThreadPoolExecutor(threads) as pool:
@@ -258,43 +279,30 @@ class ManyRuns:
             list(map(enter, chunks))
         return results
 
-    def _steps(self, known: dict[str, Array], duration: Array, finer: float) -> Array:
-        """Return the number of steps of each run; infinite if it is too large."""
-        phase = COARSE_PHASE_READ if self._outputs else COARSE_PHASE
-        found = rates(known, self._structure.terms)
-        summed, lasting = found.summed * duration, found.lasting_phase(duration)
-        shorter = np.maximum((lasting / _LASTING_PHASE) ** (1.0 / _LOSS_ORDER) * phase / COARSE_PHASE, 1.0)
-        steps: Array = np.maximum(np.ceil(finer * shorter * summed / phase), _FEWEST_COARSE_STEPS)
-        # Whether a run is integrated does not depend on `finer`.
-        steps[summed / phase > _MOST_COARSE_STEPS] = np.inf
-        return steps
+    def _run(self, p: Array, steps: Array, first: Array, unit: Array) -> Array:
+        """Return the results of some runs, a row each.
 
-    def _run(self, p: Array, steps: Array) -> Array:
-        """Return the results of some runs, a row each."""
-        first, unit = self._starts(p)
+        Args:
+            p: parameters, the duration last; a row for each run.
+            steps: number of steps of each run.
+            first: states at time 0, or near those of orbits, a column for each run.
+            unit: units of these states.
+        """
         if self._code is None:
-            if self._near is not None:
+            states = first.T
+            if self._structure.orbit == "periodic":
 
                 def once(which: NDArray[np.int64], states: Array) -> Array:
                     return self._interpret(states, p[which], steps[which], 1)[:, 2:4]
 
-                first, _ = returning(once, first, unit)
-            return self._interpret(first, p, steps, self._outputs)
+                states, _ = returning(once, states, unit.T)
+            return self._interpret(states, p, steps, self._outputs)
         given = np.zeros((p.shape[1] + 7, len(p)))
-        given[:2], given[2:_STEPS], given[_STEPS], given[-2:] = first.T, p.T, steps, unit.T
+        given[:2], given[2:_STEPS], given[_STEPS], given[-2:] = first, p.T, steps, unit
         if self._structure.ramp:
             kink = p[:, self._equation.names.index("ramp_time")] / p[:, -1]
             given[_STEPS + 1], given[_STEPS + 2] = _before_kink(kink, steps)
         return self._code.integrate(given, self._outputs)
-
-    def _starts(self, p: Array) -> tuple[Array, Array]:
-        """Return the states at time 0, or near those of orbits, and the units of the latter, a row for each run."""
-        if self._near is not None:
-            first, unit = (np.asarray(one).T for one in self._near(len(p))(p.T))
-            return first, unit
-        first = np.zeros((len(p), 2))
-        first[:, 1] = self._structure.start_rate(dict(zip(self._equation.names, p.T, strict=False)))
-        return first, np.ones_like(first)
 
     def _interpret(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
         """Return the results of some runs, a row each, by CasADi with the next power of two as number of steps.

@@ -63,6 +63,7 @@ class Effort:
         generations: most generations of an evolution.
         descents: number of the sample's lowest designs from which descents start.
         followed: most further descents, from the local minima below designs drawn at random.
+        rare: number of feasible designs of the sample below which they are searched for first.
         dense: whether the sample shows the landscape between its designs. Then there is no descent from a design from
             which the merit falls all the way to a known end, and no evolution if hardly any unseen basin is expected.
         rounds: number of rounds, unless one of the following is given.
@@ -76,6 +77,7 @@ class Effort:
     generations: int
     descents: int
     followed: int
+    rare: int
     dense: bool = False
     rounds: int = 1
     most_designs: int | None = None
@@ -132,7 +134,8 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         vectorised: whether the runs of many designs are integrated together.
     """
     row = min(dimensions, len(_Extent.designs)) - 1
-    designs = min(_Extent.designs[row], max(_Extent.one_by_one, _Extent.most_runs // max(runs, 1)))
+    usual = _Extent.designs[row]
+    designs = min(usual, max(_Extent.one_by_one, _Extent.most_runs // max(runs, 1)))
     designs = 1 << (designs.bit_length() - 1)  # only powers of two make Sobol points even
     islands = _Extent.islands[row] if designs * runs < _Extent.most_runs else 0
     if not vectorised:
@@ -143,13 +146,16 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         # Less than a round: only a sample, of a power of two.
         designs, islands = 1 << max(3, number.bit_length() - 1), 0
     many = dimensions > FEW_VARIABLES
+    population = 40 if many else 24
     return Effort(
         designs=designs,
         islands=islands,
-        population=40 if many else 24,
+        population=population,
         generations=60 if many else 30,
         descents=4 + 3 * dimensions,
         followed=4 + 2 * dimensions,
+        # A smaller sample of as many runs holds fewer of them.
+        rare=max(1, population * designs // usual),
         dense=not many and search != "thorough",
         rounds=_Extent.thorough if search == "thorough" else 1,
         most_designs=number,

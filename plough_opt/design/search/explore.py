@@ -165,7 +165,7 @@ class Explorer:
         self._samples.append(sampled)
         if not np.any(np.isfinite(sampled.merit)):
             return
-        rare = np.count_nonzero(sampled.feasible) < self.effort.population
+        rare = np.count_nonzero(sampled.feasible) < self.effort.rare
         if rare and self.landscape.vectorised:
             feasible = self._rare_feasible_designs(points, sampled, rng)
             if feasible is None:

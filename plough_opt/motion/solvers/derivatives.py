@@ -37,7 +37,7 @@ from plough_opt.motion.solvers.steps import (
 Vector = NDArray[np.float64]
 _Symbols = TypeVar("_Symbols", ca.SX, ca.MX)
 # Runs whose derivatives are checked, out of all that were given: as many as take this number of steps together, which
-# is a second, but within these limits. If even the fewest take more, their steps are compiled, which takes a second.
+# is a second, but within these limits. If all runs take more, their steps are compiled, which takes a second, too.
 _MOST_CHECKED_STEPS = 10_000
 _MOST_RUNS = 8
 _FEWEST_RUNS = 2
@@ -295,8 +295,8 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
     if solver.structure.orbit != "transient" or not varying:
         return 0.0
     order = 2 if solver.accuracy.order_8 else 1
-    long = solver.timeline.steps * _FEWEST_RUNS > _MOST_CHECKED_STEPS
-    both = [jets_of(one, varying, order, compiled=long) for one in (solver, finer_than(solver))]
+    many = solver.timeline.steps * given.shape[1] > _MOST_CHECKED_STEPS
+    both = [jets_of(one, varying, order, compiled=many) for one in (solver, finer_than(solver))]
     most = max(_FEWEST_RUNS, min(_MOST_RUNS, _MOST_CHECKED_STEPS // solver.timeline.steps))
     chosen = np.unique(np.linspace(0, given.shape[1] - 1, most).round().astype(int))
     worst = 0.0

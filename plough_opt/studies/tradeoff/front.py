@@ -32,6 +32,8 @@ ACROSS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
 
 # Designs outside a triangle by no more than this part of its size lie on its side.
 _ON_SIDE = 1e-12
+# Rows that are compared with each other before all others are compared with those of them that stay.
+_BLOCK = 32
 # Designs compared with a front at once, which bounds the memory that takes.
 _CHUNK = 20_000
 # A knee lies at least this far below the line, or the plane, through the best point of each objective.
@@ -49,15 +51,25 @@ def undominated(designs: Array, tolerance: float = EQUAL) -> NDArray[np.intp]:
         tolerance: a row must be better than each that stays by more than this in some objective.
     """
     left = np.argsort(designs.sum(axis=1), kind="stable")
-    columns = designs[left].T.copy()
-    chosen: list[int] = []
+    chosen = [left[:0]]
     while len(left):
-        chosen.append(int(left[0]))
-        better = columns[0] < columns[0, 0] - tolerance
-        for column in columns[1:]:
-            better |= column < column[0] - tolerance
-        left, columns = left[better], columns[:, better]
-    return np.array(chosen, dtype=np.intp)
+        block, left = left[:_BLOCK], left[_BLOCK:]
+        better, stays = _better(designs[block], designs[block], tolerance), np.ones(len(block), dtype=bool)
+        for k in range(len(block)):
+            if stays[k]:
+                stays[k + 1 :] &= better[k + 1 :, k]
+        chosen.append(block[stays])
+        left = left[_better(designs[left], designs[block[stays]], tolerance).all(axis=1)]
+    return np.concatenate(chosen)
+
+
+def _better(designs: Array, others: Array, tolerance: float) -> NDArray[np.bool_]:
+    """Return whether each design, a row, is better than each other one, a column, in any objective."""
+    least = others.T - tolerance
+    found: NDArray[np.bool_] = designs[:, :1] < least[0]
+    for k in range(1, len(least)):
+        found |= designs[:, k : k + 1] < least[k]
+    return found
 
 
 def thinned(designs: Array, apart: float) -> NDArray[np.intp]:

@@ -206,7 +206,9 @@ class Population:
         results = []
         for group, theta in zip(self._groups, self._inputs(*given), strict=True):
             # The same run of consecutive designs takes equal steps: sort the rows by run, then by design.
-            count = len(group.members)
+            if (count := len(group.members)) == 1:
+                results.append(group.integrate(theta, finer=finer, together=together))
+                continue
             rows = theta.reshape(n, count, -1).transpose(1, 0, 2).reshape(n * count, -1)
             found = group.integrate(rows, finer=finer, together=together).reshape(count, n, -1)
             results.append(found.transpose(1, 0, 2).reshape(n, -1))

@@ -257,14 +257,15 @@ class ManyRuns:
                 of their parameters. It divides the number of rows.
             threads: number of threads of machine code; the results do not depend on it.
         """
-        results = np.full((len(p), self.size), np.nan)
         first, unit, (coarse, needed) = (part.T for part in self._planned(p))
         steps = np.maximum(np.ceil(finer * needed), _FEWEST_COARSE_STEPS)
         # Whether a run is integrated does not depend on `finer`.
         few = (coarse <= _MOST_COARSE_STEPS) & np.isfinite(steps) & np.isfinite(p).all(axis=1)
+        if together == len(p) <= _RUNS_AT_ONCE and few.all():
+            return self._run(p, np.full(len(p), steps.max()), first, unit)
         groups, members = steps.reshape(-1, together), few.reshape(-1, together)
         steps = np.repeat(groups.max(axis=1, initial=0.0, where=members), together)
-        sound = np.flatnonzero(few)
+        sound, results = np.flatnonzero(few), np.full((len(p), self.size), np.nan)
         # Runs in one register wait for the slowest of them.
         order = sound[np.argsort(steps[sound], kind="stable")]
         chunks = [order[k : k + _RUNS_AT_ONCE] for k in range(0, len(order), _RUNS_AT_ONCE)]

@@ -81,8 +81,8 @@ FASTER = {
 }
 
 
-# Without bytecode, as in some containers, imports take three times as long, and so does the unit. The threads that NumPy
-# starts at its import would add half a unit to the unit, and the command line starts none.
+# Without bytecode, as in some containers, imports take three times as long, and so does the unit. The threads that
+# NumPy starts at its import would add half a unit to the unit, and the command line starts none.
 ENVIRONMENT = {name: text for name, text in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 ENVIRONMENT["OPENBLAS_NUM_THREADS"] = "1"
 

@@ -15,8 +15,8 @@ from helpers.small_designs import design
 from scipy.optimize import brentq
 
 import plough_opt as po
-from plough_opt.core.expressions import exp
 from plough_opt.core import rows
+from plough_opt.core.expressions import exp
 from plough_opt.design.model.program import Program
 from plough_opt.motion.solvers import compiled_steps
 from plough_opt.soil import elastic

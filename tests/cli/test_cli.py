@@ -442,6 +442,22 @@ NOT_USED = [
 ]
 
 
+AFTERWARDS = """
+import gc, os
+from plough_opt.__main__ import main
+assert main() == 0
+print(gc.isenabled(), gc.get_freeze_count() > 10_000, len(os.listdir("/proc/self/task")))
+"""
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/task"), reason="only Linux lists the threads of a process here")
+def test_a_command_starts_no_threads_and_collects_no_modules():
+    environment = {name: text for name, text in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    line = [sys.executable, "-c", AFTERWARDS, "check", str(SUBSOILER)]
+    done = subprocess.run(line, capture_output=True, text=True, check=True, timeout=60, env=environment)
+    assert done.stdout.splitlines()[-1] == "True True 1"
+
+
 @pytest.mark.parametrize(("arguments", "shown", "left_alone"), NOT_USED, ids=[line[0] for line, *_ in NOT_USED])
 def test_a_command_imports_only_what_it_uses(tmp_path, monkeypatch, arguments, shown, left_alone):
     monkeypatch.chdir(tmp_path)

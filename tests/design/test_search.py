@@ -126,6 +126,13 @@ def test_a_number_of_designs_and_a_time_are_respected(waves):
     assert time.perf_counter() - began > 0.5
 
 
+@pytest.mark.parametrize("variables", [1, 2, 3, 4])
+def test_feasible_designs_are_rare_by_their_share_of_the_sample(variables):
+    alone, over_soils = (effort.effort_of("auto", variables, runs, True) for runs in (1, 64))
+    assert alone.rare == alone.population
+    assert over_soils.rare / over_soils.designs == pytest.approx(alone.rare / alone.designs, rel=0.3)
+
+
 @pytest.mark.parametrize("objective", [None, sticking])
 @pytest.mark.parametrize("search", ["auto", "thorough"])
 def test_an_automatic_search_without_time_names_what_it_left_out(waves, monkeypatch, objective, search):

@@ -43,6 +43,7 @@ class _Extent:
     most_runs: Final = 60_000  # in a round, for designs with many runs: they take some seconds
     one_by_one: Final = 256  # runs in a sample if they are integrated one by one, each for milliseconds
     fewest_one_by_one: Final = 32  # designs of such a sample
+    fewest_rare: Final = 4  # Fewer feasible designs than this are rare in any sample.
     thorough: Final = 4  # rounds of a thorough search
 
 
@@ -155,7 +156,7 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         descents=4 + 3 * dimensions,
         followed=4 + 2 * dimensions,
         # A smaller sample of as many runs holds fewer of them.
-        rare=max(1, population * designs // usual),
+        rare=max(_Extent.fewest_rare, population * designs // usual),
         dense=not many and search != "thorough",
         rounds=_Extent.thorough if search == "thorough" else 1,
         most_designs=number,

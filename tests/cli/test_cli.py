@@ -450,7 +450,7 @@ print(gc.isenabled(), gc.get_freeze_count() > 10_000, len(os.listdir("/proc/self
 """
 
 
-@pytest.mark.skipif(not os.path.isdir("/proc/self/task"), reason="only Linux lists the threads of a process here")
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="only Linux lists the threads of a process here")
 def test_a_command_starts_no_threads_and_collects_no_modules():
     environment = {name: text for name, text in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     line = [sys.executable, "-c", AFTERWARDS, "check", str(SUBSOILER)]

@@ -657,7 +657,7 @@ class Tracer(ABC):
         """
         gain = np.zeros(len(objectives))
         large = left[leads[left] > self.matters]
-        gain[large] = lead_over_front(front, objectives[large], leads[large], self.step)
+        gain[large] = lead_over_front(front, objectives[large], self.step)
         # A design that dominates a point counts too, however little it leads the line or triangle next to that.
         strongest, by = strongest_dominators(front, objectives[left])
         better = left[strongest[by > SOUGHT]]

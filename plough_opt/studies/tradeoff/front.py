@@ -139,7 +139,7 @@ def _gains(front: Array, designs: Array, extreme: np.ufunc) -> Iterator[tuple[sl
         yield slice(first, first + len(part)), gains
 
 
-def lead_over_front(front: Array, designs: Array, over_points: Array, step: float) -> Array:
+def lead_over_front(front: Array, designs: Array, step: float) -> Array:
     """Return how far each design leads the points of a front and the lines or triangles between neighbouring points.
 
     Beyond the edges of a surface and in its holes there are no triangles. There the lead over the points is reduced by
@@ -148,9 +148,9 @@ def lead_over_front(front: Array, designs: Array, over_points: Array, step: floa
     Args:
         front: efficient rows; of two objectives in order.
         designs: rows to compare, of three objectives a few thousand at most.
-        over_points: their leads over the points: see `lead_over_points`.
         step: distance of neighbours on the front.
     """
+    over_points = lead_over_points(front, designs)
     if front.shape[1] == 2:
         return np.minimum(over_points, _depth_below_curve(front, designs, step))
     below = _depth_below_surface(front, designs, step)

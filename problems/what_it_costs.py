@@ -126,7 +126,9 @@ def main() -> None:
     print(f"{when}, {platform.machine()}, Python {platform.python_version()}; a unit is {unit:.2f} s.\n")
     print("| | units | MB | faster |\n|---|---|---|---|")
     for name in rows:
-        print(f"| {name} | {seconds[name] / unit:.2g} | {memory[name]:.0f} | {FASTER.get(name, '')} |")
+        own = seconds[name] / unit
+        shown = f"{own:.0f}" if own >= 100.0 else f"{own:.2g}"
+        print(f"| {name} | {shown} | {memory[name]:.0f} | {FASTER.get(name, '')} |")
 
 
 if __name__ == "__main__":

@@ -20,9 +20,10 @@ from scipy import stats
 
 import plough_opt as po
 from plough_opt.design.model.program import Program
+from plough_opt.design.search import effort
 from plough_opt.problem_file import uncertain
 from plough_opt.problem_file.uncertain import distribution_of, measure_of, optimise_robust, uncertain_of
-from plough_opt.studies.uncertainty import measures
+from plough_opt.studies.uncertainty import measures, robust
 from plough_opt.studies.uncertainty.result import RobustOptimum
 
 # --- robust optima with known closed forms, or found by hand on a grid ---
@@ -239,6 +240,19 @@ def test_the_command_saves_both_optima_and_every_check(command, tmp_path):
         "added_mass": "largest of the samples",
     }  # fmt: skip
     assert saved["indices"]["mean_draft"]["names"] == ["cohesion", "friction_angle given cohesion", "density_ratio"]
+
+
+def test_without_time_only_the_best_optimum_gets_its_own_widths(monkeypatch):
+    class Late(effort.TimeLimit):
+        def passed(self, part):
+            return "own widths" in part
+
+    monkeypatch.setattr(robust, "TimeLimit", Late)
+    monkeypatch.setattr(robust, "_CAN_WIN", 10.0)  # every local optimum might win
+    out = printed("optimise", FILE, "--set", "uncertain.samples=8", "--set", "uncertain.fresh=100")
+    rest = len(re.findall("branch", out)) - 1
+    assert rest >= 1
+    assert f"left out solving {rest} local optima again with their own widths" in " ".join(out.split())
 
 
 def test_a_part_is_that_of_the_robust_design(found, monkeypatch, tmp_path):

@@ -119,8 +119,8 @@ def jets(
     moving = None if ramp is None else (ramp_part, spans[3, :])
     averages = pooled(moments, spans[1, :], equation.count, count, moving)
     # Rows of w and below them of w', each with a row for each column of the jet.
-    order = [*range(0, 2 * width, 2), *range(1, 2 * width, 2)]
-    paths = ca.horzcat(ca.vec(first), ca.reshape(states, 2 * width, steps))[order, :]
+    places = [*range(0, 2 * width, 2), *range(1, 2 * width, 2)]
+    paths = ca.horzcat(ca.vec(first), ca.reshape(states, 2 * width, steps))[places, :]
     is_duration = [position == p.numel() - 1 for position in varying]
     read = _read(timeline, paths, (p[-1], ramp), is_duration)
     return ca.Function("jets", [p], [ca.vertcat(read, *averages)])

@@ -75,7 +75,8 @@ CALLS = {
 
 # Tools that are faster at a row, each by its time over ours: from `make bench`, which says how they are called.
 FASTER = {
-    "`po.simulate(scene, 2.0, compiled=True)`, the same scene": "heyoka.py, Numba RK4 (without an estimate)",
+    "`po.simulate(scene, 2.0, compiled=True)`, the same scene": "heyoka.py (without an estimate)",
+    "the same, a new scene each time": "heyoka.py, Numba RK4 (without an estimate)",
     '`design.solve(search="near", compiled=True)` of `problems/reference.toml`, again': "SLSQP on Numba RK4",
     "`design.solve(compiled=True)`, again": "SLSQP on Numba RK4 from five starts",
 }

@@ -352,12 +352,12 @@ class _Command:
     module: str = "commands"
     reads: bool = True  # a problem file, which may be changed by --set
 
-    def arguments(self, name: str, completed: object, verb: _Parser) -> None:
+    def arguments(self, name: str, whole: bool, verb: _Parser) -> None:
         """Add the arguments of the command to its parser, and the module and function that run it.
 
         Args:
             name: of the command.
-            completed: what marks a file name for shtab, which completes it; None if nothing is completed.
+            whole: whether file names are marked for shtab, which completes them.
             verb: the parser.
         """
         how_much = verb.add_mutually_exclusive_group()
@@ -367,7 +367,10 @@ class _Command:
         how_much.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
         if self.reads:
             file = verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
-            file.complete = completed  # type: ignore[attr-defined]  # an attribute that shtab adds to arguments
+            if whole:
+                import shtab  # slow to import
+
+                file.complete = shtab.FILE  # type: ignore[attr-defined]  # makes shtab complete file names
             change = 'change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable'
             verb.option("set", 'KEY="VALUE"', change, action="append", default=[])
         self.add(verb)
@@ -397,21 +400,16 @@ _COMMANDS: Final = {
 }  # fmt: skip
 
 
-def parser(completed: object = None) -> argparse.ArgumentParser:
-    """Return the parser of the command line; to complete it the arguments of all commands are added at once.
-
-    Args:
-        completed: what marks a file name for shtab, which completes it; None if nothing is completed.
-    """
+def parser(*, whole: bool = False) -> argparse.ArgumentParser:
+    """Return the parser of the command line; ``whole`` adds the arguments of all commands at once."""
     every = _Parser(prog="plough-opt", description="Design of subsoiler ploughshares: draft, oscillation, constraints.")
     every.add_argument("--version", action="version", version=f"plough-opt {version('plough_opt')}")
     verbs = every.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, command in _COMMANDS.items():
         aliases = ["optimize"] if name == "optimise" else []
-        verb = verbs.add_parser(
-            name, help=command.help, aliases=aliases, add=partial(command.arguments, name, completed)
-        )
-        if completed is not None:
+        add = partial(command.arguments, name, whole)
+        verb = verbs.add_parser(name, help=command.help, aliases=aliases, add=add)
+        if whole:
             verb.fill()
     return every
 
@@ -420,7 +418,7 @@ def completion(options: argparse.Namespace) -> None:
     """Print a shell script that completes commands, options and file names."""
     import shtab  # slow to import
 
-    print(shtab.complete(parser(shtab.FILE), shell=options.shell))
+    print(shtab.complete(parser(whole=True), shell=options.shell))
 
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130

@@ -304,7 +304,7 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, flo
     """Integrate by steps of order 8: first by long ones, whose error shows how many reach the wanted one.
 
     The first number of steps of a long run does not depend on the wanted error, and a tighter one takes more: so a
-    looser error never costs more. In runs of some hundred steps it may cost a few per cent more.
+    looser error hardly ever costs more.
 
     Returns:
         The run that reaches the error or comes nearest, with its error, and the last failure; None for either of them

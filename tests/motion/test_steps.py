@@ -470,8 +470,6 @@ def test_a_named_method_warns_of_an_error_that_matters(accuracy):
 ERRORS = [10.0**-k for k in range(2, 11)]
 # With fewer steps than this the arrays and averages of a run cost more than its steps.
 FEW = 400
-# A first attempt that suffices for three of four scenes and not for this one costs its steps.
-AT_MOST_MORE = 1.03
 
 
 # Scenes for steps of order 8, with and without a ramp or smooth contact.
@@ -491,7 +489,7 @@ def test_a_looser_error_takes_no_more_steps(monkeypatch, seed):
         assert po.simulate(scene, duration, accuracy=po.Accuracy(error=error), outputs=100).error_estimate <= error
         # Checks and repeated attempts included.
         steps.append(sum(taken))
-    assert all(looser < max(FEW, AT_MOST_MORE * tighter) for looser, tighter in itertools.pairwise(steps)), steps
+    assert all(tighter >= looser or looser < FEW for looser, tighter in itertools.pairwise(steps)), steps
     assert FEW < steps[-1] < math.inf
 
 

@@ -30,7 +30,7 @@ CAN_WIN = 0.15
 """With more variables, only those designs are optimised whose criterion is within this part of the best."""
 
 AUTO_SECONDS = 20.0
-"""Processor time after which no further part of an automatic search begins [s]; the solve then ends within 30 s."""
+"""Processor time after which no further part of an automatic search begins [s]; what has begun may take ten more."""
 
 
 class _Extent:

@@ -43,7 +43,7 @@ _USUAL_PHASE = 0.475
 _LONG_PHASE = 1.6
 # One of few steps is tried with this phase, which in three of four ordinary scenes is enough for an error of 1e-8.
 _SHORT_PHASE = 0.65
-_FEW_STEPS = 250
+_FEW_STEPS = 220
 # Largest error from which the necessary number of steps can be extrapolated.
 _LARGEST_KNOWN_ERROR = 1e-3
 # Exponent of that extrapolation: below 1/8, for the error of long steps first falls faster than its order.

@@ -35,7 +35,7 @@ WORK = {
     "check a.toml --plot laws.png --against": "laws.png",
     "simulate a.toml -o run.json --plot run.png": "run.json",
     "optimise a.toml --search near -o best.json --plot best.png": "best.json",
-    "show best.json --restore again": "again",
+    "show best.json --problem": "title",
     "compare best.json run.json": "best.json",
     f"tradeoff a.toml --points 5 {TRADED} {FEWER}": "loosened",
     "sweep a.toml --over share.height='0.2..0.3 m:3' --workers 2 --csv swept.csv": "swept.csv",

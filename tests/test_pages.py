@@ -393,7 +393,7 @@ def test_shell_lines_run_in_order_and_print_the_figures(tmp_path, monkeypatch, b
     # What `make run` does beside the same optimum is to draw it, as a line further down does.
     assert "--plot out/cotton_subsoiler.png" in printed["make run"] or (work / "out" / "cotton_subsoiler.png").exists()
     assert (work / "my_share.png").stat().st_size > 10_000
-    assert '"schema": 2' in (work / "my_share.json").read_text(encoding="utf-8")
+    assert '"schema": 3' in (work / "my_share.json").read_text(encoding="utf-8")
     for figure in ("39.11 deg", "0.2541 m", "50.77 kN/m", "3.941 kN", "0.6531 kN", "0.0103 m", "73 %"):
         assert figure in printed[".venv/bin/plough-opt optimise problems/cotton_subsoiler.toml"]
 

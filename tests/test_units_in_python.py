@@ -23,7 +23,6 @@ from plough_opt.app.main import main
 from plough_opt.core.checks import LEAST, DomainLimit
 from plough_opt.core.expressions import exp
 from plough_opt.core.quantities import EVERY
-from plough_opt.core.saving import Origin
 from plough_opt.core.units import registry
 from plough_opt.design.search import effort
 from plough_opt.motion.scene import quantities_of, with_quantities
@@ -243,8 +242,6 @@ WRONG = {
     "long and uneven": (lambda: _record(np.ones(10_001), np.arange(10_001.0) ** 1.1), "10001 points at uneven"),
     "always the same": (lambda: po.strength_waves(_record(np.full(40, 1.5e6))), "its strength does not vary"),
     "a wide base": (lambda: po.strength_waves(_record(1.0 + LINE % 2), base_diameter=39.0), "between 39 m"),
-    "no problem to restore": (lambda: Origin().restore("new"), "does not come from a problem file: see its declar"),
-    "data elsewhere": (lambda: Origin(text="title=''", data={"../a": ""}).restore("new"), "must be below its folder"),
     "a text to refine": (lambda: po.refine(hex, [2, 4]), "returned '0x8' at size 8, but must return numbers"),
     "a symbol to refine": (lambda: po.refine(lambda _: ca.SX.sym("x"), [2]), "'x' holds symbols"),
     "a search in bytes": (lambda: effort.searched(b"near", ()), "search = b'near' must be 'auto'"),

@@ -393,7 +393,7 @@ def show(options: argparse.Namespace) -> None:
     if is_store(path):
         from plough_opt.studies.sweep.result import Sweep
 
-        if options.problem or options.restore:
+        if options.problem:
             raise InputError("the store of a sweep has no problem file, only its settings: --json prints these")
         with Sweep.load(path) as swept:
             give(options, swept.page(), swept.to_json, swept.plot, swept.to_dataframe, swept.to_csv)
@@ -406,8 +406,6 @@ def show(options: argparse.Namespace) -> None:
         give(options, found.shown_page(), found.to_json, found.plot, found.to_dataframe)
         for line in () if options.json else origin.lines(found.made_by):
             console().print(line, soft_wrap=True)
-    if options.restore is not None:
-        wrote(origin.restore(options.restore))
 
 
 def compare(options: argparse.Namespace) -> None:

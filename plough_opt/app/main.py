@@ -207,7 +207,6 @@ def _show(verb: _Parser) -> None:
     verb.add_argument("file", metavar="FILE", help="a saved result (JSON), or the store of a sweep")
     verb.results(json="print the result as JSON (SI units)")
     verb.switch("problem", "print the problem file and its data instead")
-    verb.option("restore", "FOLDER", "write the problem file and its data, to compute it again")
 
 
 def _compare(verb: _Parser) -> None:

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import difflib
 import os
-import re
 import secrets
 import shutil
 import signal
 import stat
 import tempfile
 import threading
-import unicodedata
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
 from importlib.resources import files as beside
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
-from plough_opt.core.errors import InputError, listed, short, shown, unprintable
+from plough_opt.core.errors import InputError, listed, short, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,13 +34,6 @@ _LONGEST_STEM: Final = 100
 
 BYTE_ORDER_MARK: Final = "\ufeff"
 """Character with which some editors begin a file in UTF-8."""
-
-# Names that are hidden, options of commands, not valid on Windows, or reserved there for devices, with any ending.
-_ODD_NAME: Final = re.compile(
-    r'[<>:"|?*]|^[-.]|[. ]$|^(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³]) *(\..*)?$', re.IGNORECASE
-)
-# Endings of modules that Python, on any system, would import in the place of others, and of start-up files.
-_CODE: Final = {".py", ".pyw", ".pyc", ".pyd", ".so", ".dll", ".dylib", ".pth"}
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
 """The colours of Okabe and Ito (2008), which colour-blind readers can distinguish, and a grey."""
@@ -157,41 +148,6 @@ def write_new(path: str | Path, kind: str, content: Content) -> Path:
     if os.path.lexists(path):
         raise InputError(f"'{path}' exists already and is left as it is: name another file")
     return write_file(path, kind, content)
-
-
-def write_below(folder: Path, kind: str, files: Sequence[tuple[str, Content]]) -> None:
-    """Write new files, whose names a file from elsewhere gives, below a folder: all of them or none.
-
-    Raises:
-        InputError: a name leads elsewhere on some system, directly or by a link, is hidden or that of a Python module,
-            is given twice if case is ignored, is also a folder, or exists; or a file cannot be written.
-    """
-    base, places = Path(os.path.realpath(folder)), dict[Path, Content]()
-    for name, content in files:
-        path = PureWindowsPath(name)  # which knows every separator
-        place = base / name
-        if path.suffix.lower() in _CODE or path.root or not path.parts or not all(map(_is_plain, path.parts)):
-            raise InputError(f"{shown(name)} is not written: a {kind} must be below its folder, with a valid name")
-        if not Path(os.path.realpath(place.parent)).is_relative_to(base):
-            raise InputError(f"'{place}' is not written: a link leads out of '{folder}': name a new folder")
-        if os.path.lexists(place):
-            raise InputError(f"'{place}' exists already and is left as it is: name a new folder")
-        places[place] = content
-    names = [PurePosixPath(folded(name)) for name, _ in files]
-    if len({*names}) < len(names) or any(parent in names for name in names for parent in name.parents):
-        given = ", ".join(shown(name) for name, _ in files)
-        raise InputError(f"nothing is written: on some systems two of these paths are the same: {short(given, 200)}")
-    write_files(places, kind)
-
-
-def _is_plain(part: str) -> bool:
-    """Return whether a part of a path names a visible file or folder on every system, and is no option of a command."""
-    return _ODD_NAME.search(part) is None and unprintable(part, allowed="") is None
-
-
-def folded(name: str) -> str:
-    """Return a name that is equal for names that are one file on a system that ignores case or separators."""
-    return unicodedata.normalize("NFC", name).replace("\\", "/").casefold()
 
 
 def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:

@@ -14,22 +14,35 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, Self, TypeVar
+from pkgutil import resolve_name
+from typing import Any, ClassVar, Final, Self
 
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.expressions import ByValue
-from plough_opt.core.files import BYTE_ORDER_MARK, exact_text, folded, read_text, write_below, write_file
+from plough_opt.core.files import BYTE_ORDER_MARK, exact_text, read_text, write_file
 from plough_opt.core.plain_data import from_plain, json_text, to_plain
 from plough_opt.core.tables import Page, Readable
 from plough_opt.core.units import Display, customary
 
-SCHEMA: Final = 2
+SCHEMA: Final = 3
 """Version of the layout of saved results; it increases when a key changes its meaning."""
 
 # Largest file read: some hundred times the largest that the commands write.
 _MOST_BYTES: Final = 100_000_000
-_Result = TypeVar("_Result", bound="Saveable")
+# Kind of saved result -> module and name of its class, below this package.
+_CLASSES: Final = {
+    "run": "motion.run:Run",
+    "machine": "motion.run:Machine",
+    "batch": "motion.batch.batch:BatchResult",
+    "local optimum": "design.result.optimum:LocalOptimum",
+    "optimum": "design.result.optimum:Optimum",
+    "rounded optimum": "design.result.optimum:Rounded",
+    "trade-off": "studies.tradeoff.result:TradeOff",
+    "accuracy study": "studies.accuracy.result:AccuracyStudy",
+    "calibration": "studies.calibration.fit:Fit",
+    "robust optimum": "studies.uncertainty.result:RobustOptimum",
+}
 
 
 def versions() -> dict[str, str]:
@@ -42,7 +55,7 @@ def versions() -> dict[str, str]:
 class _Head:
     """Entries with which every saved result begins."""
 
-    schema: Literal[2]
+    schema: int
     kind: str
     title: str
     versions: dict[str, str]
@@ -102,9 +115,9 @@ class Origin:
         """
         data = dict(self.data)
         for path in map(Path, paths):
-            taken = {folded(name) for name in (self.file, *data)}
+            taken = {name.casefold() for name in (self.file, *data)}
             names = (f"{path.stem}{'' if k == 1 else f'-{k}'}{path.suffix}" for k in itertools.count(1))
-            data[next(name for name in names if folded(name) not in taken)] = exact_text(path)
+            data[next(name for name in names if name.casefold() not in taken)] = exact_text(path)
         return replace(self, data=data)
 
     def lines(self, made_by: Mapping[str, str]) -> tuple[str, ...]:
@@ -130,23 +143,6 @@ class Origin:
         declared = [f"{name}: " + ", ".join(f"{key} {value}" for key, value in own.items() if value is not None)
                     for name, own in self.declarations.items()]  # fmt: skip
         return "\n".join([*([_lines_of(self.text)] if self.text else []), *changes, *data, *declared])
-
-    def restore(self, folder: str | Path) -> Path:
-        """Write the problem file and its data files into a folder; return the problem file's path.
-
-        ``po.read_problem(path, origin.overrides)`` reads it again.
-
-        Raises:
-            InputError: the result does not come from a problem file, a file exists already, or a file would not lie
-                below the folder; then nothing is written.
-        """
-        if not self.text:
-            raise InputError("this result does not come from a problem file: see its declarations instead")
-        base = path_of("the folder", folder)
-        if "/" in self.file:
-            raise InputError(f"the problem file's name {shown(self.file)} has a folder, which no saved result has")
-        write_below(base, "problem and data file", [(self.file, self.text), *self.data.items()])
-        return base / self.file
 
     def display(self, name: str, unit: str, *values: float) -> Display:
         """Return the unit in which a quantity or a result is shown: the question's, else the customary one.
@@ -251,80 +247,8 @@ class Saveable(ByValue, Readable):
             >>> bool(again.mean_draft == run.mean_draft)
             True
         """
-        return read_result(path, {cls.kind: cls})
-
-
-def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
-    """Return the result in a JSON file.
-
-    Args:
-        path: the file.
-        kinds: kinds of results that it may hold -> class.
-
-    Raises:
-        InputError: the file does not exist, is the store of a sweep, or holds another kind or layout.
-    """
-    path = path_of("the result", path)
-    if is_store(path):
-        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: read it with po.Sweep.load")
-    text = read_text(path, "a saved result", ".json", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
-    try:
-        return _result_of(_parsed(text), kinds)
-    except (ValueError, RecursionError, TypeError) as error:
-        kind = next(iter(kinds)) if len(kinds) == 1 else "result"
-        wanted = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
-        old = f"of this version (schema {SCHEMA}): {short(str(error), 200)}"
-        raise InputError(f"'{path}' is not {wanted} {old}; name a file that save or --json wrote") from None
-
-
-def _result_of(data: Any, kinds: dict[str, type[_Result]]) -> _Result:
-    """Return the result in a parsed JSON document.
-
-    Raises:
-        ValueError: the document does not hold a result of these kinds.
-    """
-    if not isinstance(data, dict):
-        raise ValueError("Input should be an object")
-    first = [one.name for one in fields(_Head)]
-    head: _Head = from_plain(_Head, {key: data[key] for key in first if key in data})
-    if head.kind not in kinds:
-        raise ValueError(f"at kind: {head.kind!r:.60}: Input should be {' or '.join(map(repr, kinds))}")
-    found: _Result = from_plain(kinds[head.kind], data)
-    found.check_saved()
-    extra = {key: own for key, own in data.items() if key not in {*first, *vars(found)}}
-    for name, own in (("_shown", head.shown), ("_made_by", head.versions), ("_extra", extra)):
-        object.__setattr__(found, name, own)
-    return found
-
-
-def _parsed(text: str) -> Any:
-    """Return the contents of strictly valid JSON.
-
-    Raises:
-        ValueError: the text is not JSON, or holds NaN or a number beyond the range of floats.
-    """
-
-    def number(kind: type[float], digits: str) -> float:
-        value = kind(digits)
-        if not abs(value) <= sys.float_info.max:
-            raise ValueError(f"{short(digits)} is not a finite number")
-        return value
-
-    real = partial(number, float)
-    try:
-        return json.loads(text, parse_int=partial(number, int), parse_float=real, parse_constant=real)
-    except ValueError as error:
-        raise ValueError(f"Invalid JSON: {error}") from None
-
-
-# First bytes of an SQLite file, which the store of a sweep is.
-_STORE: Final = b"SQLite format 3"
-# Module and name of each kind of saved result, below this package.
-_CLASSES: Final = (
-    "motion.run:Machine", "motion.run:Run", "motion.batch.batch:BatchResult", "design.result.optimum:LocalOptimum",
-    "design.result.optimum:Optimum", "design.result.optimum:Rounded", "studies.tradeoff.result:TradeOff",
-    "studies.accuracy.result:AccuracyStudy", "studies.calibration.fit:Fit", "studies.uncertainty.result:RobustOptimum",
-)  # fmt: skip
+        result: Self = _read(path, cls)
+        return result
 
 
 def load(path: str | Path) -> Any:
@@ -349,10 +273,72 @@ def load(path: str | Path) -> Any:
         >>> str(again) == str(run)
         True
     """
-    from pkgutil import resolve_name
+    return _read(path, Saveable)
 
-    classes: list[type[Saveable]] = [resolve_name(f"plough_opt.{path}") for path in _CLASSES]
-    return read_result(path, {kind.kind: kind for kind in classes})
+
+def _read(path: str | Path, wanted: type) -> Any:
+    """Return the result in a JSON file.
+
+    Raises:
+        InputError: the file does not exist, is the store of a sweep, or holds another kind or layout.
+    """
+    path = path_of("the result", path)
+    if is_store(path):
+        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: read it with po.Sweep.load")
+    text = read_text(path, "a saved result", ".json", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
+    try:
+        return _result_of(_parsed(text), wanted)
+    except (ValueError, RecursionError, TypeError) as error:
+        kind = getattr(wanted, "kind", "result")
+        which = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} of this version (schema {SCHEMA})"
+        raise InputError(f"'{path}' is not {which}: {short(str(error), 200)}") from None
+
+
+def _result_of(data: Any, wanted: type) -> Any:
+    """Return the result in a parsed JSON document.
+
+    Raises:
+        ValueError: the document does not hold a result of this version and class.
+    """
+    if not isinstance(data, dict) or "schema" not in data:
+        raise ValueError("name a file that save or --json wrote")
+    if data["schema"] != SCHEMA or isinstance(data["schema"], bool):
+        raise ValueError(f"it has schema {shown(data['schema'])}, of another version: compute the result again")
+    first = [entry.name for entry in fields(_Head)]
+    head: _Head = from_plain(_Head, {key: data[key] for key in first if key in data})
+    kind = resolve_name(f"plough_opt.{_CLASSES[head.kind]}") if head.kind in _CLASSES else object
+    if not issubclass(kind, wanted):
+        raise ValueError(f"it holds {shown(head.kind)}")
+    result = from_plain(kind, data)
+    result.check_saved()
+    extra = {key: own for key, own in data.items() if key not in {*first, *vars(result)}}
+    for name, own in (("_shown", head.shown), ("_made_by", head.versions), ("_extra", extra)):
+        object.__setattr__(result, name, own)
+    return result
+
+
+def _parsed(text: str) -> Any:
+    """Return the contents of strictly valid JSON.
+
+    Raises:
+        ValueError: the text is not JSON, or holds NaN or a number beyond the range of floats.
+    """
+
+    def number(kind: type[float], digits: str) -> float:
+        value = kind(digits)
+        if not abs(value) <= sys.float_info.max:
+            raise ValueError(f"{short(digits)} is not a finite number")
+        return value
+
+    real = partial(number, float)
+    try:
+        return json.loads(text, parse_int=partial(number, int), parse_float=real, parse_constant=real)
+    except ValueError as error:
+        raise ValueError(f"Invalid JSON: {error}") from None
+
+
+# First bytes of an SQLite file, which the store of a sweep is.
+_STORE: Final = b"SQLite format 3"
 
 
 def is_store(path: Path) -> bool:

@@ -6,7 +6,6 @@ import io
 import itertools
 import math
 import re
-from pathlib import Path
 
 import casadi as ca
 import matplotlib.image
@@ -273,24 +272,6 @@ def test_a_table_fits_a_narrow_terminal_with_every_figure():
     # Each entry is on one line.
     for method, setting in rows:
         assert re.search(rf" {method}, {setting}.* 125 µs +120 ms( +1e-13){{4}} *\n", printed)
-
-
-# --- studies that were saved when designs and quadratures had other contestants ---
-
-BEFORE = Path(__file__).parent / "saved_before"
-
-
-@pytest.mark.parametrize(("name", "titles"), [("scene", ["averages of the motion"]), ("design", [])])
-def test_a_study_saved_before_still_loads(name, titles, tmp_path):
-    study = po.load(BEFORE / f"{name}.json")
-    assert (type(study), study.title, study.wanted) == (AccuracyStudy, "Saved before", 1e-6)
-    # It prints the page that was saved; what still exists is ranked, and every entry is in the frame.
-    assert "Error against time of" in str(study)
-    assert [question.title for question in study.questions] == titles
-    assert all(len(study.of(question)) > 3 and "the default" in study.advise(question) for question in study.questions)
-    assert len(study.to_dataframe()) == len(study.entries) > 3
-    assert [row.right for row in study.thoroughness] == ([0, 3, 3, 3, 3] if name == "design" else [])
-    assert po.load(study.save(tmp_path / "again.json")) == study
 
 
 # --- a panel for each question, with all entries that its table ranks ---

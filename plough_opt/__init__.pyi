@@ -51,11 +51,9 @@ from .problem_file.sweep import sweep as sweep
 from .soil import elastic as elastic, plastic as plastic
 from .soil.geometry import Cone as Cone, Wedge as Wedge, deg as deg
 from .soil.strength import RandomStrength as RandomStrength, Spectrum as Spectrum
-from .soil.record_waves import RecordWaves as RecordWaves, strength_waves as strength_waves
 from .soil.soil import Soil as Soil, named_soil as named_soil, soil_names as soil_names
-from .soil.strength import Rig as Rig, StrengthRecord as StrengthRecord, strength_spectrum as strength_spectrum
+from .soil.strength import StrengthRecord as StrengthRecord, strength_spectrum as strength_spectrum
 from .soil.strength import StrengthWave as StrengthWave
-from .studies import crosscheck as crosscheck
 from .studies.accuracy.result import AccuracyStudy as AccuracyStudy
 from .studies.accuracy.study import study_accuracy as study_accuracy, study_design as study_design
 from .studies.calibration import (

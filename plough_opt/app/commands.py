@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import math
 import shlex
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,15 +17,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.app import tables
-from plough_opt.app.main import MODELS, PART, RECORDED_SHARE, RIG, given_quantities
+from plough_opt.app.main import PART, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, console, give, progress, quiet, read, wrote
 from plough_opt.core.checks import check_named
 from plough_opt.core.compiler import cache_folder
 from plough_opt.core.errors import InputError, NotConverged, about, printable
 from plough_opt.core.files import check_file, drawn, write_new
-from plough_opt.core.plain_data import json_text, to_plain
+from plough_opt.core.plain_data import json_text
 from plough_opt.core.process import optional
-from plough_opt.core.quantities import EVERY, QUANTITIES, quantities, wave_table
+from plough_opt.core.quantities import EVERY, QUANTITIES, quantities
 from plough_opt.core.saving import Origin, is_store, load
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display, in_words
@@ -49,8 +48,6 @@ if TYPE_CHECKING:
     from plough_opt.design import LocalOptimum
     from plough_opt.design.search.effort import Search
     from plough_opt.problem_file.sweep import ProblemSweep, What
-    from plough_opt.soil.record_waves import RecordWaves
-    from plough_opt.soil.strength import Rig
     from plough_opt.studies.calibration import Fit, Measurements
     from plough_opt.studies.calibration.fit import HeldOut
 
@@ -90,15 +87,13 @@ def schema(_options: argparse.Namespace) -> None:
 
 def check(options: argparse.Namespace) -> None:
     """Check a file, and print the contents of its scene at the guess, and what else the options ask for."""
-    for name in MODELS:
-        if not options.against and getattr(options, name.replace("-", "_")) is not None:
-            raise InputError(f"--{name} belongs to a comparison: add --against")
-    against = given_quantities(options, MODELS)
     problem = read(options)
     values = {key: float(value) for key, value in problem.values().items()}
     notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem), *problem.reliance)
-    plain: dict[str, Any] = {"title": problem.title, "quantities": values, "notes": notes}
-    page = tables.check_page(problem)
+    drafts = {name: tables.drafts_by_law(part.scene()) for name, part in problem.parts.items()}
+    laws = drafts if problem.shares else drafts[""]
+    plain: dict[str, Any] = {"title": problem.title, "quantities": values, "laws": laws, "notes": notes}
+    page = tables.check_page(problem, drafts)
     plot: Callable[[], Figure] | None = None if problem.shares else lambda: drawn("plot_share", problem.scene())
     units = [EVERY[key if key in EVERY else key.partition(".")[2]].unit for key in values]
     columns = {"quantity": [*values], "value": [*values.values()], "unit": units}
@@ -110,12 +105,6 @@ def check(options: argparse.Namespace) -> None:
         page = replace(page, parts=(*page.parts, *tables.effects_parts(costs)))
         plain["effects"] = rows = [asdict(cost) for cost in costs]
         frame = partial(data_frame, {key: [row[key] for row in rows] for key in rows[0]}, {})
-    if options.against:
-        from plough_opt.studies.crosscheck import compare
-
-        comparison = compare(problem.scene(), **against)
-        page = replace(page, parts=(*page.parts, *tables.comparison_parts(problem, comparison)))
-        plain["comparison"], plot, frame = to_plain(comparison), comparison.plot, comparison.to_dataframe
     give(options, page, lambda: json_text(plain), plot, frame)
 
 
@@ -518,7 +507,7 @@ def _table(saved: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[fl
     return grid
 
 
-# --- measurements: unknown quantities, and strength waves ---
+# --- measurements: unknown quantities ---
 
 
 def calibrate(options: argparse.Namespace) -> None:
@@ -622,67 +611,3 @@ def _quality(fit: Fit, folds: int | None) -> str:
         for name, x in found.rms.items()
     )
     return f"RMS error of rows left out of the fit, {found.folds} folds: {errors}."
-
-
-def waves(options: argparse.Namespace) -> None:
-    """Find the waves in a record, and print them as entries of a problem file."""
-    from plough_opt.problem_file.field_data import read_strength_record
-    from plough_opt.soil.record_waves import strength_waves
-
-    check_outputs(options)
-    rig = given_quantities(options, RIG)
-    record = read_strength_record(options.file, _rig(rig), tow_speed=rig.get("tow_speed"))
-    found = strength_waves(record, options.part, **given_quantities(options, RECORDED_SHARE))
-    give(options, _waves_page(found), lambda: json_text(_waves_plain(found)), found.plot, lambda: _waves_frame(found))
-
-
-def _waves_frame(found: RecordWaves) -> Any:
-    """Return a data frame with a row for each wave, in SI units."""
-    names = {"amplitude": "", "wavelength": "m", "phase": "rad"}
-    columns = {name: [float(getattr(one.wave, name)) for one in found.found] for name in names}
-    return data_frame({**columns, "part": [one.part for one in found.found]}, names)
-
-
-def _rig(given: dict[str, float]) -> Rig | None:
-    """Return the rig that the options describe, or None."""
-    from plough_opt.soil.strength import Rig
-
-    if not {"mass", "stiffness", "damping"} & {*given}:
-        return None
-    if missing := [f"--{name}" for name in RIG if name != "damping" and name.replace("-", "_") not in given]:
-        raise InputError(f"a rig also needs {', '.join(missing)}: add these options (--damping is 0 by default)")
-    return Rig(given["mass"], given["stiffness"], given.get("damping", 0.0), given["tow_speed"])
-
-
-def _waves_page(found: RecordWaves) -> Page:
-    """Return the waves as a table and as entries of a problem file."""
-    table = Grid.of("Strength waves, with 95 % intervals", "amplitude", "wavelength", "phase", "part of the variance")
-    entries = []
-    for number, one in enumerate(found.found, start=1):
-        amplitude, wavelength, phase = one.wave.amplitude, one.wave.wavelength, math.degrees(float(one.wave.phase))
-        table.row(
-            f"{amplitude:.3g} ± {one.amplitude:.1g}",
-            f"{wavelength:.4g} ± {one.wavelength:.1g} m",
-            f"{phase:.0f} ± {math.degrees(one.phase):.1g} deg",
-            f"{100.0 * one.part:.0f} %",
-        )
-        name = wave_table(number).removeprefix("effects.")
-        written = f'amplitude = {amplitude:.4g}, wavelength = "{wavelength:.5g} m", phase = "{phase:.4g} deg"'
-        entries.append(f"{name} = {{ {written} }}")
-    spread = (
-        f"The strength has a standard deviation of {100.0 * math.sqrt(found.variance):.3g} % of its trend; the waves"
-        f" omit {100.0 * found.left_out:.0f} % of the variance."
-    )
-    footer = "\n".join(["\n[effects]", *entries]) if entries else ""
-    return Page("", parts=(table, spread), notes=found.notes, footer=footer)
-
-
-def _waves_plain(found: RecordWaves) -> dict[str, object]:
-    """Return the waves and the spectrum as plain values for JSON, in SI units."""
-    names, columns = ("amplitude", "wavelength", "phase"), ("wave_number", "density", "lower", "upper")
-    waves = [{name: [getattr(one.wave, name), getattr(one, name)] for name in names} for one in found.found]
-    return {
-        "waves": [own | {"part": one.part} for own, one in zip(waves, found.found, strict=True)],
-        **{name: getattr(found, name) for name in ("variance", "left_out", "notes")},
-        "spectrum": {name: getattr(found.spectrum, name).tolist() for name in columns},
-    }

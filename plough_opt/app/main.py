@@ -42,52 +42,18 @@ _SHORT: Final = {"output": ("-o",)}
 
 @dataclass(frozen=True)
 class QuantityOption:
-    """An option whose value is a quantity with a unit, or a plain text.
+    """An option whose value is a quantity with a unit.
 
     Attributes:
-        unit: SI unit; None for a plain text.
-        example: placeholder in the help: a quantity with a unit, or the name of a plain text.
+        unit: SI unit.
+        example: placeholder in the help.
         help: its help text.
-        several: whether it may be given several times.
-        argument: name of the value in Python, if it differs from the option's.
     """
 
-    unit: str | None
+    unit: str
     example: str
     help: str
-    several: bool = False
-    argument: str = ""
 
-
-MODELS: Final = {
-    "depth": QuantityOption("m", "0.4 m", "working depth; repeatable (default: the share's height)", several=True),
-    "speed": QuantityOption(
-        "m/s", "5 km/h", "speed; repeatable (default: 3, 5, 7, 9 km/h and the tow speed)", True, argument="speeds"
-    ),
-    "width": QuantityOption("m", "0.08 m", "width of the tine (default: base diameter of the equivalent cone)"),
-    "rake": QuantityOption(
-        "rad", "45 deg", "rake angle of the tine (default: the share's chisel angle)", argument="rake_angle"
-    ),
-    "adhesion": QuantityOption("Pa", "2 kPa", "adhesion of soil on the tine (default: 0)"),
-    "surcharge": QuantityOption("Pa", "1 kPa", "pressure on the soil's surface (default: 0)"),
-    "rupture-ratio": QuantityOption("", "2.5", "rupture distance over depth (default: that of a plane wedge)"),
-    "texture": QuantityOption(None, "NAME", "soil texture for ASABE D497: fine, medium or coarse (default: all)"),
-    "point": QuantityOption(None, "NAME", "point for ASABE D497: narrow or winged (default: narrow)"),
-}
-"""Options of a comparison with other draft models."""
-
-RIG: Final = {
-    "mass": QuantityOption("kg", "20 kg", "moving mass of the rig that measured the force"),
-    "stiffness": QuantityOption("N/m", "50 kN/m", "stiffness of the rig's spring"),
-    "damping": QuantityOption("N*s/m", "400 N*s/m", "damping of the rig (default: 0)"),
-    "tow-speed": QuantityOption("m/s", "5 km/h", "speed along the path, for a rig or readings over time"),
-}
-"""Options that describe the rig of a strength record."""
-
-RECORDED_SHARE: Final = {
-    "base-diameter": QuantityOption("m", "0.136 m", "base diameter of the share, over which strength is averaged")
-}
-"""Options that describe the share whose strength waves are wanted."""
 
 PART: Final = {
     "opening": QuantityOption(
@@ -107,13 +73,9 @@ def given_quantities(options: argparse.Namespace, declared: Mapping[str, Quantit
     """
     values: dict[str, Any] = {}
     for name, option in declared.items():
-        written = getattr(options, name.replace("-", "_"))
-        if written is None:
-            continue
-        texts = written if option.several else [written]
-        with about(f"--{name}"):
-            parsed = [text if option.unit is None else Unit(option.unit).parse(text) for text in texts]
-        values[option.argument or name.replace("-", "_")] = parsed if option.several else parsed[0]
+        if (written := getattr(options, name)) is not None:
+            with about(f"--{name}"):
+                values[name] = Unit(option.unit).parse(written)
     return values
 
 
@@ -186,21 +148,12 @@ class _Parser(argparse.ArgumentParser):
     def quantities(self, declared: Mapping[str, QuantityOption]) -> None:
         """Add options whose values are quantities; ``declared`` maps names to options."""
         for name, option in declared.items():
-            example = option.example if option.unit is None else f'"{option.example}"'
-            self.option(name, example, option.help, action="append" if option.several else "store")
+            self.option(name, f'"{option.example}"', option.help)
 
 
 def _init(verb: _Parser) -> None:
     verb.add_argument("file", metavar="FILE", help="new file to write; it must not exist yet")
     verb.shared(json="print the path of the file as JSON")
-
-
-def _waves(verb: _Parser) -> None:
-    record = "record: position [m] or time [s], and cone_index [kPa] or force [kN]"
-    verb.add_argument("file", metavar="FILE.csv", help=record)
-    verb.option("part", "P", "fraction of the variance to represent (default: 0.8)", type=float, default=0.8)
-    verb.quantities(RECORDED_SHARE | RIG)
-    verb.results()
 
 
 def _show(verb: _Parser) -> None:
@@ -222,11 +175,9 @@ def _completion(verb: _Parser) -> None:
 
 def _check(verb: _Parser) -> None:
     verb.switch("effects", "print which effects are on, and the cost of each")
-    verb.switch("against", "compare with other draft models; the options below need this one")
-    verb.quantities(MODELS)
     verb.results(
-        csv="write the quantities, with --effects the costs, with --against the drafts (SI units): .csv, or .xlsx",
-        plot="draw the share, or with --against the drafts: .png, .svg or .pdf",
+        csv="write the quantities, or with --effects the costs (SI units): .csv, or .xlsx",
+        plot="draw the share: .png, .svg or .pdf",
     )
 
 
@@ -380,7 +331,6 @@ _COMMANDS: Final = {
     "init": _Command("write a commented problem file to start from", _init, reads=False),
     "soils": _Command("list the named soils and where their values come from", partial(_Parser.results, plot=None),
                       reads=False),
-    "waves": _Command("find the strength waves in a record along a field", _waves, reads=False),
     "show": _Command("print a saved result again, and its origin", _show, reads=False),
     "compare": _Command("print saved designs or runs side by side", _compare, reads=False),
     "schema": _Command("print the JSON schema of problem files, for checks in an editor", lambda _: None, reads=False),

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.errors import DomainError, InputError, NotConverged
+from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import quantities
 from plough_opt.core.tables import Grid, Page, Part
 from plough_opt.core.units import customary
+from plough_opt.laws import LAWS, ShareInSoil
 from plough_opt.laws.forces import cone_index
+from plough_opt.laws.law import without_pressure
 from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import EffectCost
 from plough_opt.motion.equation import Structure, equation_of
@@ -23,7 +26,6 @@ from plough_opt.soil.soil import Soil
 
 if TYPE_CHECKING:
     from plough_opt.design import Optimum, Progress, Sensitivity
-    from plough_opt.studies.crosscheck import Comparison
 
 ROUNDING: Final = 1e-9
 """An elasticity, or a margin in SI units, below this is rounding."""
@@ -83,11 +85,17 @@ def further_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
     return (grid,) if rows else ()
 
 
-def check_page(problem: Problem) -> Page:
-    """Return the contents of a file's scenes, and the equation of motion that would be integrated."""
+def check_page(problem: Problem, drafts: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Page:
+    """Return the contents of a file's scenes, the equation of motion that would be integrated, and drafts by law.
+
+    Args:
+        problem: the file.
+        drafts: name of a share -> its `drafts_by_law`.
+    """
     parts: list[Part] = []
     for name, part in problem.parts.items():
-        parts += [_scene_table(part, part.scene(), name), _simulated(part, part.scene())]
+        scene = part.scene()
+        parts += [_scene_table(part, scene, name), _simulated(part, scene), _laws_table(drafts[name])]
     if problem.variables:
         verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
         counts = f"{len(problem.variables)} variables, {len(problem.table.require)} requirements"
@@ -154,22 +162,33 @@ def effects_parts(costs: Sequence[EffectCost]) -> tuple[Part, ...]:
     return (table, *(f"{cost.name}: {cost.refused}." for cost in costs if cost.refused))
 
 
-def comparison_parts(problem: Problem, comparison: Comparison) -> tuple[Part, ...]:
-    """Return the drafts of other models, then refusals, assumptions and sources."""
-    parts: list[Part] = [comparison.table()]
-    if problem.variables:
-        guess = ", ".join(f"{key} = {v.display.text(v.guess)}" for key, v in problem.variables.items())
-        parts.insert(
-            0, f"Compared at the file's guess, {guess}; use --set to compare another design, such as the optimum."
-        )
-    for title, sentences in (
-        ("Outside the domain", comparison.refusals),
-        ("Assumed", comparison.estimates),
-        ("Not verified, and sources", comparison.standings),
-    ):
-        if sentences:
-            parts += [f"{title}:", *(f"* {sentence}" for sentence in sentences)]
-    return (*parts, "Agreement of two models validates neither. docs/explanation/crosscheck.md says why.")
+def drafts_by_law(scene: Scene) -> dict[str, dict[str, object]]:
+    """Return label -> draft of the share at the tow speed [N], None outside the law's domain, and a remark on it.
+
+    Each law in `LAWS` takes what the scene does not give from the share; the scene's own law is as the scene gives it.
+    """
+    at = ShareInSoil(scene.share, scene.cone, scene.soil, scene.tow_speed)
+    at = at if scene.effects.ambient_pressure else without_pressure(at)
+    drafts: dict[str, dict[str, object]] = {}
+    for kind in dict.fromkeys((*LAWS.values(), type(scene.law))):
+        law = scene.law if isinstance(scene.law, kind) else kind()
+        try:
+            drafts[law.label] = {"draft": float(as_number(law.reaction(at).at(at.speed))), "standing": law.standing}
+        except DomainError as error:
+            drafts[law.label] = {"draft": None, "standing": f"outside its domain: {error}"}
+    return drafts
+
+
+def _laws_table(drafts: Mapping[str, Mapping[str, Any]]) -> Grid:
+    """Return a table of the drafts by all laws, and of what is not verified in each."""
+    table = Grid.of(
+        "Draft of the share by each law: calculated, not measured", "law", "draft", "remark", left=["remark"]
+    )
+    for label, row in drafts.items():
+        draft = "-" if row["draft"] is None else f"{row['draft'] / 1e3:.3g} kN"
+        table.row(label.removeprefix("the "), draft, row["standing"])
+    table.caption = "Agreement of two laws validates neither: docs/explanation/crosscheck.md says why they differ."
+    return table
 
 
 def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:

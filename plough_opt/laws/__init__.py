@@ -10,14 +10,25 @@ from typing import Final
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import readable
-from plough_opt.laws.cones import ElasticMedium, SphericalCavity
+from plough_opt.laws.cones import ElasticMedium, SphericalCavity, spherical_cavity_draft
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
-from plough_opt.laws.tines import AsabeD497, McKyesAli, SwickPerumpral, Tine, UniversalEarthmoving
+from plough_opt.laws.tines import (
+    AsabeD497,
+    McKyesAli,
+    SwickPerumpral,
+    Tine,
+    UniversalEarthmoving,
+    asabe_draft,
+    godwin_draft,
+    mckyes_ali_draft,
+    swick_perumpral_draft,
+)
 
 __all__ = [
     "LAWS", "AsabeD497", "ElasticMedium", "McKyesAli", "PlasticGas", "ResistanceLaw", "ShareInSoil", "SoilReaction",
-    "SphericalCavity", "SwickPerumpral", "Tine", "UniversalEarthmoving", "law_of",
+    "SphericalCavity", "SwickPerumpral", "Tine", "UniversalEarthmoving", "asabe_draft", "godwin_draft", "law_of",
+    "mckyes_ali_draft", "spherical_cavity_draft", "swick_perumpral_draft",
 ]  # fmt: skip
 
 LAWS: Final[dict[str, type[ResistanceLaw]]] = {

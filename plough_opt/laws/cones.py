@@ -40,6 +40,7 @@ class ElasticMedium(ResistanceLaw):
     """
 
     label = "the elastic medium"
+    standing = "an order of magnitude: strains on its face are of order one, and its rise with speed is not reliable"
     lacking: ClassVar[Mapping[str, str]] = STEADY | {
         "strength_wave": "has no strength and is solved for steady sliding only",
         "added_mass": "carries no soil along",
@@ -67,22 +68,6 @@ class ElasticMedium(ResistanceLaw):
             146.3
         """
         return SoilReaction(static=cone_force(at.cone, at.soil, at.speed))
-
-    def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
-        """Return a warning that the force is an order of magnitude, and those of the base class.
-
-        Example:
-            >>> import plough_opt as po
-            >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
-            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
-            >>> len(po.laws.ElasticMedium().warnings(at))
-            1
-        """
-        return (
-            "the elastic medium's force on a cone is an order of magnitude: strains on its face are of order one,"
-            " and its dependence on speed is not reliable",
-            *super().warnings(at),
-        )
 
 
 @dataclass(frozen=True)
@@ -200,7 +185,7 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
         >>> cone = po.Cone('10 deg', '25 cm')
-        >>> round(float(po.crosscheck.spherical_cavity_draft(cone, soil, 2.0)) / 1e3, 2)
+        >>> round(float(po.laws.spherical_cavity_draft(cone, soil, 2.0)) / 1e3, 2)
         7.47
     """
     return _reaction(cone, soil, speed).at(speed)

@@ -96,8 +96,6 @@ class ResistanceLaw(Protocol):
         label: name in messages and tables.
         source: source of its equations.
         standing: clause that says which parts are not verified, or where it does not hold.
-        band: fraction of a force by which it may be wrong in either direction according to its source; comparisons show
-            it.
         lacking: things that it does not provide -> clause that follows "which". They are effects that a scene then
             refuses ("motion", "strength_wave", "random_strength", "tow_ramp", "speed_term", "rate_term", "own",
             "entry"), results that are then missing ("added_mass", "loosened_radius", "cone_index"),
@@ -123,7 +121,6 @@ class ResistanceLaw(Protocol):
     label: ClassVar[str]
     source: ClassVar[str] = ""
     standing: ClassVar[str] = ""
-    band: ClassVar[float] = 0.0
     lacking: ClassVar[Mapping[str, str]] = {
         "added_mass": "does not include soil that moves with the share",
         "loosened_radius": "does not give the radius to which soil is loosened",

@@ -49,7 +49,7 @@ class Tine:
 
     Example:
         >>> import plough_opt as po
-        >>> tine = po.crosscheck.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
+        >>> tine = po.laws.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
         >>> tine.width
         0.06
     """
@@ -159,7 +159,7 @@ def wedge_angles(soil: Soil, tine: Tine, speed: Expression) -> WedgeAngles:
             5 m/s.
     """
     check_soil(soil)
-    check_kind("the tine", tine, Tine, "a crosscheck.Tine")
+    check_kind("the tine", tine, Tine, "a laws.Tine")
     why = "in soil without friction the weight does not determine a wedge"
     check_domain("friction angle", soil.friction_angle, "rad", above=0.0, why=why)
     why = "above 3 to 5 m/s draft grows more slowly than the square of the speed"
@@ -321,7 +321,6 @@ class AsabeD497(ResistanceLaw):
     label = _LABEL
     source = "ASABE D497.7, Agricultural machinery management data"
     standing = "coefficients not verified against the standard's text, which is said to allow +-50 %"
-    band = 0.5
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
         """Return F0 [N] and Fd [N s^2/m^2]; the subsoiler's rows do not have a term linear in the speed.
@@ -367,7 +366,7 @@ def asabe_draft(
 
     Example:
         >>> import plough_opt as po
-        >>> draft = po.crosscheck.asabe_draft(texture="medium", point="narrow", depth=0.3, speed=2.0)
+        >>> draft = po.laws.asabe_draft(texture="medium", point="narrow", depth=0.3, speed=2.0)
         >>> round(float(draft) / 1e3, 2)
         6.71
     """
@@ -465,8 +464,8 @@ def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
     Example:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
-        >>> tine = po.crosscheck.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
-        >>> round(float(po.crosscheck.mckyes_ali_draft(soil, tine, 2.0)) / 1e3, 2)
+        >>> tine = po.laws.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
+        >>> round(float(po.laws.mckyes_ali_draft(soil, tine, 2.0)) / 1e3, 2)
         7.59
     """
     return _mckyes_ali(soil, tine, speed).at(speed)
@@ -582,8 +581,8 @@ def godwin_draft(soil: Soil, tine: Tine, speed: Expression, *, rupture_ratio: Ex
     Example:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
-        >>> tine = po.crosscheck.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
-        >>> round(float(po.crosscheck.godwin_draft(soil, tine, 2.0)) / 1e3, 2)
+        >>> tine = po.laws.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
+        >>> round(float(po.laws.godwin_draft(soil, tine, 2.0)) / 1e3, 2)
         10.64
     """
     return _godwin(soil, tine, speed, rupture_ratio).at(speed)
@@ -679,8 +678,8 @@ def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expressi
     Example:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
-        >>> tine = po.crosscheck.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
-        >>> round(float(po.crosscheck.swick_perumpral_draft(soil, tine, 2.0)) / 1e3, 2)
+        >>> tine = po.laws.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
+        >>> round(float(po.laws.swick_perumpral_draft(soil, tine, 2.0)) / 1e3, 2)
         0.92
     """
     angles = wedge_angles(soil, tine, speed)

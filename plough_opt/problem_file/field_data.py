@@ -1,4 +1,4 @@
-"""Readings from CSV files: penetrometer profiles over depth, and records of strength or force along a path."""
+"""Readings from CSV files: penetrometer profiles over depth, and records of strength along a path."""
 
 import math
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ from plough_opt.motion.effects import SpeedProfile
 from plough_opt.motion.effects.profile import profile_of
 from plough_opt.problem_file.schema import RANDOM
 from plough_opt.problem_file.source import Source, read_axis
-from plough_opt.soil.strength import Rig, Spectrum, StrengthRecord, strength_spectrum
+from plough_opt.soil.strength import Spectrum, StrengthRecord, strength_spectrum
 from plough_opt.studies.sweep.question import Range
 
 Vector = NDArray[np.float64]
 
 _DOWNWARDS = {"depth": Unit("m"), "cone_index": Unit("Pa"), "insertion": Unit("")}
-_ALONG = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa"), "force": Unit("N")}
+_ALONG = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa")}
 _INSERTIONS = "'insertion, depth [cm], cone_index [kPa]', or 'depth [cm], cone_index [kPa], cone_index [kPa]'"
 _COURSE = 'a table like { time = ["0 s", "4 s"], speed = ["0 km/h", "9 km/h"] }'
-_RECORD = "'position [m], cone_index [kPa]', or 'time [s], force [kN]'"
+_RECORD = "'position [m], cone_index [kPa]', or 'time [s], cone_index [kPa]'"
 # With fewer insertions their standard deviation is too uncertain to fit a distribution to.
 _FEWEST = 3
 
@@ -223,20 +223,19 @@ def _mean(depth: Vector, pressure: Vector, low: float, high: float) -> float:
     return mean
 
 
-def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed: float | None = None) -> StrengthRecord:
+def read_strength_record(path: str | Path, *, tow_speed: float | None = None) -> StrengthRecord:
     """Return a record of soil strength along a path, read from a CSV file.
 
     The first line that is neither empty nor begins with ``#`` names two columns with their units: ``position`` or
-    ``time``, and ``cone_index`` or ``force``.
+    ``time``, and ``cone_index``.
 
     Args:
         path: the file.
-        rig: the mount on which a force was measured; needed to deduce the strength of the soil from a force.
-        tow_speed: speed of the instrument, if the readings are over time [m/s] (default: the rig's).
+        tow_speed: speed of the instrument, if the readings are over time [m/s].
 
     Raises:
-        InputError: the file does not exist, a column or cell is invalid (each listed with its line), a force is given
-            without a rig, or times without a speed.
+        InputError: the file does not exist, a column or cell is invalid (each listed with its line), or times are given
+            without a speed.
         DomainError: the speed is below 0.
 
     Example:
@@ -250,23 +249,15 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
     names = [name for name, _ in columns]
     along = [name for name in names if name in ("position", "time")]
     if len(names) != 2 or len(along) != 1:
-        raise InputError(f"{place}: one column of positions or times and one of strengths are needed, as {_RECORD}")
+        raise InputError(f"{place}: a column of positions or times and one of strengths are needed, as {_RECORD}")
     table = table_of(path, rows, columns, lambda _k, _value, _cell: None)
-    check_rising(path, [line for line, _ in rows], table[:, names.index(along[0])], along[0])
-    found = dict(zip(names, table.T, strict=True))
-    if "force" in found and rig is None:
-        needs = "give the rig's mass, stiffness and tow speed, so that it can be removed"
-        raise InputError(f"{path}: a measured force contains the rig's own oscillation: {needs}")
-    if "cone_index" in found:
-        rig = None
-    speed = rig.tow_speed if tow_speed is None and rig is not None else tow_speed
-    if "position" in found:
-        position = found["position"]
-    elif speed is None:
-        raise InputError(f"{path}: readings over time need the tow speed, which turns times into positions")
-    else:
-        position = found["time"] * plain_number("tow speed", QUANTITIES["scene.tow_speed"].read(speed))
-    return StrengthRecord(position, found["force" if "force" in found else "cone_index"], rig, str(path))
+    position, strength = table[:, names.index(along[0])], table[:, names.index("cone_index")]
+    check_rising(path, [line for line, _ in rows], position, along[0])
+    if along == ["time"]:
+        if tow_speed is None:
+            raise InputError(f"{path}: readings over time need the tow speed, which turns times into positions")
+        position = position * plain_number("tow speed", QUANTITIES["scene.tow_speed"].read(tow_speed))
+    return StrengthRecord(position, strength, str(path))
 
 
 def course_of_file(source: Source) -> SpeedProfile | None:

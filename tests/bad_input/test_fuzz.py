@@ -223,30 +223,22 @@ def test_changes_on_the_command_line(count, tmp_path):
     run(count, answer, tmp_path)
 
 
-RIG = ["--mass=20 kg", "--stiffness=50 kN/m", "--damping=400 N*s/m", "--tow-speed=5 km/h"]
 INSERTIONS, TRANSECT = ((PROBLEMS / name).read_text(encoding="utf-8") for name in ("insertions.csv", "transect.csv"))
-
-
-def force_on_a_rig(rng, path):
-    return answered("waves", path, *rng.choice((RIG, RIG, [], ["--tow-speed=5 km/h", "--base-diameter=120 mm"])))
 
 
 READINGS = [
     (TABLES, po.read_measurements),
     ([INSERTIONS], lambda file: po.read_penetrometer(file, (0.25, 0.45)).mean),
-    ([TRANSECT], lambda file: po.strength_waves(po.read_strength_record(file), 0.1, base_diameter=0.13)),
-    (RECORDS, None),
+    ([TRANSECT, *RECORDS], lambda file: po.strength_spectrum(po.read_strength_record(file, tow_speed=1.4))),
 ]
 
 
-@pytest.mark.parametrize(
-    ("texts", "read"), READINGS, ids=["measurements", "penetrometer", "strength along a path", "force on a rig"]
-)
+@pytest.mark.parametrize(("texts", "read"), READINGS, ids=["measurements", "penetrometer", "strength along a path"])
 @thinned(30, 300)
 def test_tables_of_readings(count, texts, read, tmp_path):
     def changed(rng, path):
         path.write_text(mutated(rng.choice(texts), rng), encoding="utf-8", errors="surrogatepass", newline="")
-        return force_on_a_rig(rng, path) if read is None else refused(read, path)
+        return refused(read, path)
 
     run(count, changed, tmp_path)
 

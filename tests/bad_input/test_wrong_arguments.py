@@ -30,7 +30,7 @@ STEADY = po.Effects(motion=False)
 SCENE = po.Scene(SOIL, WEDGE, 5e4, 45.0, 2.0, STEADY)
 CAVITY = po.plastic.Cavity(0.1, 0.4, 0.2)
 NODES = ((0.0, 0.0), (0.5, 0.05))
-TINE = po.crosscheck.Tine(0.05, 0.3, 0.7)
+TINE = po.laws.Tine(0.05, 0.3, 0.7)
 SAMPLES = (1.0, 2.0, 4.0)
 
 
@@ -128,14 +128,8 @@ def _of(module, names):
 def _laws():
     """Return name -> function of soil, share or medium, with its required arguments."""
     forces = _of(po, "added_mass loosened_radius resistance resistance_coefficients soil_reaction")
-    fields, others = (
-        [
-            own
-            for name in module.__all__
-            if inspect.isfunction(own := getattr(module, name)) or own is po.crosscheck.Tine
-        ]
-        for module in (po.elastic, po.crosscheck)
-    )
+    fields = [own for name in po.elastic.__all__ if inspect.isfunction(own := getattr(po.elastic, name))]
+    drafts = _of(po.laws, "Tine asabe_draft godwin_draft mckyes_ali_draft spherical_cavity_draft swick_perumpral_draft")
     gas = _of(
         po.plastic,
         """Cavity current_radius density front front_radius front_speed mean_ratio
@@ -146,8 +140,8 @@ def _laws():
         **_group("elastic.", fields, x=0.2, r=0.1, y=0.1, profile=NODES, soil=FIRM, speed=2.0, section_factor=0.5),
         "elastic.knots": (po.elastic.knots, {"profile": lambda x: 0.1 * x, "length": 0.5, "count": 4}),
         **_group("plastic.", gas, cavity=CAVITY, r=0.15, soil=SOIL, radius=0.1, rate=0.4, acceleration=0.2),
-        **_group("crosscheck.", others, scene=SCENE, cone=CONE, tine=TINE, soil=SOIL, width=0.05, depth=0.3,
-                 rake_angle=0.7, speed=2.0, speeds=[1.0, 2.0], texture="medium", point="narrow"),
+        **_group("laws.", drafts, cone=CONE, tine=TINE, soil=SOIL, width=0.05, depth=0.3, rake_angle=0.7, speed=2.0,
+                 texture="medium", point="narrow"),
     }  # fmt: skip
 
 
@@ -155,7 +149,7 @@ def _classes():
     """Return name -> class, with its required arguments and others that matter."""
     simple = _of(
         po,
-        """Accuracy Cone Effects Goal HarmonicBalance Printed RandomStrength Range Rig Scene Smooth Soil StickSlip
+        """Accuracy Cone Effects Goal HarmonicBalance Printed RandomStrength Range Scene Smooth Soil StickSlip
         StrengthWave Wedge""",
     )
     return {
@@ -193,7 +187,7 @@ def _functions():
         "cone_index": (po.cone_index, {"soil": SOIL}),
         "read_penetrometer": (po.read_penetrometer, {"path": "none.csv", "depth": (0.1, 0.3)}),
         **_group("", [po.read_measurements, po.read_strength_record], path="none.csv"),
-        **_group("", [po.strength_spectrum, po.strength_waves], record=record(), base_diameter=0.1),
+        **_group("", [po.strength_spectrum], record=record(), base_diameter=0.1),
         "component": (po.component, {"scene": SCENE, "duration": 1.0, "inputs": ["share.height"],
                                      "outputs": ["mean_draft"], "samples": 40}),
         "deg": (po.deg, {"angle": 30.0}),
@@ -381,8 +375,8 @@ def test_every_public_name_has_a_recipe():
     results = {
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
         "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "MotionEquation", "NotConverged",
-        "Optimum", "OwnResistance", "PloughError", "Problem", "RecordWaves", "Refinement", "ResistanceLaw", "Run",
-        "ShareInSoil", "SoilReaction", "Sweep", "TradeOff", "crosscheck", "elastic", "export", "expressions", "laws",
+        "Optimum", "OwnResistance", "PloughError", "Problem", "Refinement", "ResistanceLaw", "Run",
+        "ShareInSoil", "SoilReaction", "Sweep", "TradeOff", "elastic", "export", "expressions", "laws",
         "plastic", "plots", "soil_names", "uncertainty",
     }  # fmt: skip
     covered = {name.partition(".")[0].rstrip("[]()") for name in recipes()}

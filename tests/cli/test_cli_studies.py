@@ -296,7 +296,6 @@ def lines(static, folder):
     printed("simulate", static, "--set", "scene.tow_speed=9 km/h", "-o", other)
     front.write_text(TRADE, encoding="utf-8")
     return {
-        "waves": ["waves", PROBLEMS / "transect.csv"],
         "show": ["show", saved],
         "compare": ["compare", saved, other],
         "simulate": ["simulate", static],
@@ -307,7 +306,6 @@ def lines(static, folder):
         "calibrate": ["calibrate", PROBLEMS / "calibration.toml", *DRAFTS],
         "check": ["check", static],
         "check --effects": ["check", static, "--effects"],
-        "check --against": ["check", static, "--against"],
         "soils": ["soils"],
     }
 
@@ -336,7 +334,7 @@ def test_every_command_writes_the_files(static, tmp_path):
         assert json.loads(done.out) == json.loads(saved.read_text(encoding="utf-8")) or name == "accuracy", name
         assert not drawn or picture.read_text(encoding="utf-8").startswith("<?xml"), name
         heading, *rows = csv.reader(io.StringIO(table.read_text(encoding="utf-8")))
-        assert rows or name == "waves", name
+        assert rows, name
         assert {len(row) for row in rows} <= {len(heading)}, name
 
 

@@ -19,7 +19,6 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 import plough_opt as po
-from plough_opt import crosscheck
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, exp, where
 from plough_opt.laws import LAWS, AsabeD497, McKyesAli, SphericalCavity, SwickPerumpral, Tine, UniversalEarthmoving
@@ -351,10 +350,10 @@ TINE = Tine(0.1, 0.25, po.deg(35), 500.0, 300.0)
 LOADS = {"surcharge": 500.0, "adhesion": 300.0}
 
 DRAFTS = {
-    McKyesAli(width=0.1, **LOADS): lambda v: crosscheck.mckyes_ali_draft(SEROZEM, TINE, v),
-    UniversalEarthmoving(width=0.1, **LOADS): lambda v: crosscheck.godwin_draft(SEROZEM, TINE, v),
-    AsabeD497("fine", "winged", 2.0): lambda v: crosscheck.asabe_draft(0.25, v, "fine", point="winged", shanks=2.0),
-    SphericalCavity(): lambda v: crosscheck.spherical_cavity_draft(SHARE.equivalent_cone(), SEROZEM, v),
+    McKyesAli(width=0.1, **LOADS): lambda v: po.laws.mckyes_ali_draft(SEROZEM, TINE, v),
+    UniversalEarthmoving(width=0.1, **LOADS): lambda v: po.laws.godwin_draft(SEROZEM, TINE, v),
+    AsabeD497("fine", "winged", 2.0): lambda v: po.laws.asabe_draft(0.25, v, "fine", point="winged", shanks=2.0),
+    SphericalCavity(): lambda v: po.laws.spherical_cavity_draft(SHARE.equivalent_cone(), SEROZEM, v),
 }
 
 
@@ -373,7 +372,7 @@ def test_motion_and_steady_resistance_follow_from_the_drafts_formula(law):
 
 def test_law_of_steady_sliding_gives_its_draft():
     steady = po.simulate(scene_of(share=SHARE, medium=SwickPerumpral(width=0.1), motion=False), 1.0)
-    draft = crosscheck.swick_perumpral_draft(SEROZEM, Tine(0.1, 0.25, po.deg(35)), 2.0)
+    draft = po.laws.swick_perumpral_draft(SEROZEM, Tine(0.1, 0.25, po.deg(35)), 2.0)
     assert steady.mean_draft == pytest.approx(draft, rel=1e-14)
 
 
@@ -534,7 +533,7 @@ def test_an_optimum_at_the_edge_of_a_domain_is_exact_and_names_it(motion):
 
     def draft(at):
         tine = Tine(0.25 / 6.0, 0.25, at)
-        return crosscheck.godwin_draft(SEROZEM, tine, 2.0) / 1e3
+        return po.laws.godwin_draft(SEROZEM, tine, 2.0) / 1e3
 
     # At that width the chisel angle alone decides; for any such angle a wedge angle gives the width.
     brute = minimize_scalar(draft, bounds=(po.deg(5.0), po.deg(60.0)), method="bounded", options={"xatol": 1e-10})

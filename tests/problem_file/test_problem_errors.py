@@ -113,7 +113,6 @@ FIELD = PROBLEMS / "field.toml"
         (("check", SUBSOILER, "--set", "scene.tow_speed=8,5 km/h"), ("comma", '"8.5 km/h"')),
         (("check", SUBSOILER, "--set", "scene.steel_density=7,850 kg/m^3"), ("comma", '"7.850', '"7850 kg/m^3"')),
         (("check", SUBSOILER, "--set", "effects.strength_wave.amplitude=0,3"), ("comma", '"0.3"')),
-        (("check", SUBSOILER, "--against", "--depth", "0,4 m"), ("comma", '"0.4 m"')),
         (("sweep", SUBSOILER, "--over", "scene.tow_speed=1,5 m/s"), ("comma", '"1.5 m/s"', '"1, 5 m/s"')),
         (("sweep", SUBSOILER, "--over", "scene.tow_speed=1,5..2,5 m/s:3"), ("comma", '"1.5"')),
     ],

@@ -174,7 +174,7 @@ def drafts_by_law(scene: Scene) -> dict[str, dict[str, object]]:
         law = scene.law if isinstance(scene.law, kind) else kind()
         try:
             drafts[law.label] = {"draft": float(as_number(law.reaction(at).at(at.speed))), "standing": law.standing}
-        except DomainError as error:
+        except (InputError, DomainError) as error:
             drafts[law.label] = {"draft": None, "standing": f"outside its domain: {error}"}
     return drafts
 

@@ -27,6 +27,4 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("plough_opt")
-    from plough_opt.core.process import readable
-
-    return readable(_imported(name))
+    return _imported(name)

@@ -3,11 +3,9 @@
 OpenMDAO is imported on first use.
 """
 
-import sys
 from typing import TYPE_CHECKING, Any
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.process import readable
 from plough_opt.exchange.export.c import write_c, write_casadi
 from plough_opt.exchange.export.fmu import write_fmu
 from plough_opt.exchange.export.javascript import write_javascript
@@ -34,6 +32,3 @@ def __getattr__(name: str) -> Any:
     except InputError as missing:
         raise _NotInstalled(str(missing)) from None
     return getattr(openmdao, name)
-
-
-readable(sys.modules[__name__])

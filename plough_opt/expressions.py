@@ -1,7 +1,5 @@
 """Mathematical functions of numbers, arrays and CasADi expressions, for your own effects and objectives."""
 
-import sys
-
 from plough_opt.core.expressions import (
     Expression,
     absolute,
@@ -19,11 +17,8 @@ from plough_opt.core.expressions import (
     tan,
     where,
 )
-from plough_opt.core.process import readable
 
 __all__ = [
     "Expression", "absolute", "arcsinh", "arctan", "arctan2", "arctanh", "cos", "exp", "log", "maximum", "minimum",
     "sin", "sqrt", "tan", "where",
 ]  # fmt: skip
-
-readable(sys.modules[__name__])

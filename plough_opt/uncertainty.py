@@ -1,9 +1,4 @@
 """Designs for uncertain soil: distributions, robust measures over common samples, verification on fresh samples."""
 
-import sys
-
-from plough_opt.core.process import readable
 from plough_opt.studies.uncertainty import *  # noqa: F403
 from plough_opt.studies.uncertainty import __all__ as __all__
-
-readable(sys.modules[__name__])

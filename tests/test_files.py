@@ -11,7 +11,6 @@ import signal
 import stat
 import subprocess
 import sys
-import threading
 import unicodedata
 from concurrent.futures import ThreadPoolExecutor
 
@@ -25,7 +24,7 @@ from rich.console import Console
 import plough_opt as po
 from plough_opt.app.terminal import print_page
 from plough_opt.core.files import write_file, write_files, write_folder, write_new
-from plough_opt.core.process import Sieve, available, without_notices
+from plough_opt.core.process import Sieve, available
 from plough_opt.core.screen import Screen, progress_on
 from plough_opt.core.tables import Grid, Page, read_rows, write_rows
 
@@ -202,42 +201,6 @@ def test_the_notice_is_dropped_even_in_pieces_and_other_output_passes(cuts):
     for piece in ("before\n", *pieces, ANOTHER[:20], ANOTHER[20:], "no end of a line"):
         assert sieve.write(piece) == len(piece)
     assert stream.getvalue() == f"before\n{ANOTHER}no end of a line"
-
-
-def test_pieces_of_different_threads_do_not_mix():
-    stream = io.StringIO()
-    sieve = Sieve(stream)
-    with ThreadPoolExecutor(1) as other:
-        sieve.write(NOTICE[:50])
-        other.submit(sieve.write, ANOTHER).result()
-        sieve.write(NOTICE[50:])
-    assert stream.getvalue() == ANOTHER
-
-
-def test_a_process_without_an_error_stream_needs_no_sieve(monkeypatch):
-    monkeypatch.setattr(sys, "stderr", None)
-    with without_notices():
-        assert sys.stderr is None
-
-
-def test_threads_share_one_sieve_and_leave_the_stream_as_it_was():
-    before, inside, go_on = sys.stderr, threading.Barrier(3, timeout=30), threading.Event()
-
-    def nested():
-        with without_notices(), without_notices():
-            inside.wait()
-            go_on.wait(30)
-            return sys.stderr
-
-    with ThreadPoolExecutor(2) as pool:
-        first, second = pool.submit(nested), pool.submit(nested)
-        inside.wait()
-        assert isinstance(sys.stderr, Sieve)
-        assert sys.stderr.stream is before
-        go_on.set()
-        assert isinstance(first.result(), Sieve)
-        second.result()
-    assert sys.stderr is before
 
 
 @pytest.mark.parametrize("what", ["po.simulate(scene(5e4), 0.5)", "design.solve(search='near')"])

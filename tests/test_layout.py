@@ -51,10 +51,11 @@ def test_the_list_of_thinned_tests_names_tests():
 
 # Pattern of calls that change process-wide settings -> the files that may contain it, for the toolkit's own processes.
 SWITCHES = {
-    r"catch_warnings|simplefilter|filterwarnings|chdir\(|redirect_std|setrecursionlimit|set_printoptions": set(),
+    r"catch_warnings|simplefilter|filterwarnings|chdir\(|setrecursionlimit|set_printoptions": set(),
+    r"redirect_std": {"core/process.py"},
     r"seterr\(|random\.seed|rcParams|rc_context|setlocale|umask|set_int_max|putenv|environ\[[^]]*\] *=": set(),
     r"dup2\(": {"app/main.py", "studies/sweep/pool.py"},
-    r"sys\.std\w+ *=(?!=)": {"core/process.py", "studies/sweep/pool.py"},
+    r"sys\.std\w+ *=(?!=)": {"studies/sweep/pool.py"},
 }
 
 
@@ -160,25 +161,11 @@ def test_the_recipe_needs_what_the_project_needs():
     assert f"license: {PROJECT['license']}" in recipe
 
 
-# --- signatures of public names read as a user writes them ---
-
-
-def test_numbers_are_floats_and_a_class_of_ones_own_keeps_its_signature():
-    assert str(inspect.signature(po.Wedge)) == "(angle: float, chisel_angle: float, height: float) -> None"
-
-    class Mine(po.Wedge):
-        def __init__(self, size):
-            super().__init__(0.5, 0.6, size)
-
-    assert str(inspect.signature(Mine)) == "(size)"
-
-
 @pytest.mark.parametrize("name", [name for name in po.__all__ if inspect.ismodule(getattr(po, name))])
-def test_a_public_module_shows_its_public_names_alone(name):
+def test_a_public_module_lists_its_public_names(name):
     if name == "export":
         needs("openmdao.api")
     module = getattr(po, name)
-    assert sorted(dir(module)) == sorted(module.__all__)
     of_its_own = {key for key, x in vars(module).items() if getattr(x, "__module__", "") == module.__name__}
     assert {key for key in of_its_own if not key.startswith("_")} <= {*module.__all__}
     assert all(hasattr(module, key) for key in module.__all__)

@@ -622,16 +622,6 @@ def test_each_public_name_has_an_example(name):
     assert [key for key, one in every if ">>> " not in inspect.getdoc(one)] == []
 
 
-ODD = re.compile(r"Annotated|<function|<lambda| at 0x|_Expression|plough_opt\.|numpy\.|typing\.|Union\[|Optional\[")
-
-
-@pytest.mark.parametrize("name", [name for name in po.__all__ if name != "export"])
-def test_the_signature_of_a_public_name_has_no_converters(name):
-    called = [(key, one) for key, one in within(name, getattr(po, name)) if callable(one)]
-    signatures = {key: str(inspect.signature(one)) for key, one in called if not is_error(one)}
-    assert {key: text for key, text in signatures.items() if ODD.search(text)} == {}
-
-
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_run_as_shown(name, monkeypatch):
     monkeypatch.chdir(ROOT)  # where its problem files are

@@ -4,12 +4,10 @@
 """
 
 import dataclasses
-import sys
 from typing import Final
 
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.process import readable
 from plough_opt.laws.cones import ElasticMedium, SphericalCavity, spherical_cavity_draft
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
@@ -61,6 +59,3 @@ def law_of(medium: str | ResistanceLaw) -> ResistanceLaw:
         names = ", ".join(map(repr, LAWS))
         raise InputError(f"medium = {shown(medium)} must be a ResistanceLaw, such as McKyesAli(), or one of {names}")
     return medium
-
-
-readable(sys.modules[__name__])

@@ -32,7 +32,6 @@ from .motion.methods import Accuracy as Accuracy
 from .motion.batch import Batch as Batch, BatchResult as BatchResult
 from .motion.effects import (
     Effects as Effects,
-    HarmonicBalance as HarmonicBalance,
     OwnResistance as OwnResistance,
     Smooth as Smooth,
     SpeedProfile as SpeedProfile,

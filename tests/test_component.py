@@ -196,8 +196,6 @@ KINDS = [
     {"tow_ramp": 0.5, "strength_wave": WAVE},
     {"contact": po.Smooth(0.4), "rate_term": 0.05},
     {"motion": False, "strength_wave": WAVE, "tow_ramp": 0.5},
-    {"orbit": "linearised", "strength_wave": WAVE, "damping": 400.0},
-    {"orbit": po.HarmonicBalance(8), "strength_wave": WAVE, "damping": 400.0},
     {"orbit": "periodic", "strength_wave": WAVE, "damping": 400.0},
     {"own": (), "inertial_drag": False, "added_mass": False, "ambient_pressure": False},
     {"soil": STRENGTHLESS, "tow_speed": 0.0},

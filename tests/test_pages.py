@@ -32,7 +32,7 @@ from plough_opt.core import quantities, saving, tables, units
 from plough_opt.design.search import effort
 from plough_opt.exchange.export.formats import FORMATS
 from plough_opt.laws import LAWS
-from plough_opt.motion.effects import MOST_HARMONICS, OWN_EFFECTS
+from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.motion.methods import METHODS
 from plough_opt.motion.solvers import plan
 from plough_opt.motion.vocabulary import MEASURES, called
@@ -71,9 +71,9 @@ class Page:
 
 
 def few_points(line):
-    """Return arguments for a small front, of a surface with a fixed mount on a linearised orbit."""
+    """Return arguments for a small front, of a surface with a fixed mount."""
     if "oscillation" in line:
-        return ["--points", "5", "--set", "effects.orbit=linearised", "--set", "scene.stiffness=100 kN/m"]
+        return ["--points", "5", "--set", "scene.stiffness=100 kN/m"]
     return ["--points", "5", "--set", "scene.duration=0.1 s"]
 
 
@@ -259,7 +259,7 @@ LIMITS = {
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Studies and runs": (
         question.MOST_VALUES, question.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1],
-        assembly._MOST_POINTS, effort._MOST_ACCEPTED, MOST_HARMONICS, medium._MOST_PIECES, plan.MOST_OUTPUTS,
+        assembly._MOST_POINTS, effort._MOST_ACCEPTED, medium._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
     "Phase of a motion": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),
 }  # fmt: skip

@@ -110,8 +110,6 @@ def page_model(problem: Problem) -> PageModel:
     Raises:
         InputError: the scene has something that the page cannot compute; the message names it.
     """
-    if problem.scene().effects.orbit not in ("transient", "periodic"):
-        raise InputError("the page does not compute approximations of periodic orbits: use orbit = 'periodic'")
     values = {key: v.guess for key, v in problem.variables.items()} | problem.numbers()
     if problem.scene().effects.tow_profile is not None:
         del values["scene.tow_speed"]  # a table over time, which no slider moves

@@ -468,8 +468,6 @@ class Box:
                 f"within the bounds the share retreats, as at {where} at up to {-lowest[slowest]:.3g} m/s, and this"
                 " contact law ignores the gap that it leaves"
             )
-        if scene.effects.orbit not in ("transient", "periodic"):
-            notes.append("an approximation of the periodic orbit, whose own error is not in the error estimate")
         return tuple(notes)
 
 

@@ -46,7 +46,6 @@ from plough_opt.motion.effects import (
     TERMS,
     Damping,
     Entry,
-    HarmonicBalance,
     Own,
     SmoothContact,
     StickSlipContact,
@@ -78,7 +77,6 @@ class Structure:
         start: see `Effects`.
         carries: whether events change the mass of soil that moves with the share.
         orbit: see `Effects`.
-        harmonics: number of harmonics of a harmonic balance; otherwise 0.
         ramp_by_step: whether each step states if the ramp is over: see `plough_opt.motion.solvers.steps.OneStep`.
         locates_ramp: whether an integrator locates the end of the ramp even if the scene has no other events.
     """
@@ -86,8 +84,7 @@ class Structure:
     terms: tuple[Term, ...] = ()
     start: Literal["equilibrium", "rest", "towed"] = "equilibrium"
     carries: bool = False
-    orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
-    harmonics: int = 0
+    orbit: Literal["transient", "periodic"] = "transient"
     ramp_by_step: bool = False
     locates_ramp: bool = False
 
@@ -101,12 +98,10 @@ class Structure:
     @kept
     def of(scene: Towed) -> Structure:
         """Return the structure of a scene."""
-        effects, orbit = scene.effects, scene.effects.orbit
+        effects = scene.effects
         terms = tuple(term for kind in TERMS for term in kind.of(scene))
         carries = effects.added_mass and effects.events
-        if isinstance(orbit, HarmonicBalance):
-            return Structure(terms, effects.start, carries, "harmonic_balance", orbit.harmonics)
-        return Structure(terms, effects.start, carries, orbit)
+        return Structure(terms, effects.start, carries, effects.orbit)
 
     def find(self, kind: type[_Kind]) -> _Kind | None:
         """Return the term of a class, or None if that effect is off."""

@@ -42,8 +42,6 @@ _TIGHTER = 0.03
 _STEP_ATTEMPTS = 6
 # Factor on the outputs if the share may have stopped between two of them.
 _EVENT_REFINEMENT = 4
-# An approximation that differs by more than this from the periodic orbit carries a warning.
-_FAR_FROM_ORBIT = 1e-2
 # If the check is finer than the run, their difference is less than the run's error by that of the check, about a sixth.
 # Across a kink both errors are irregular: under smooth contact the difference alone was at least 1.3 times the error.
 _MARGIN_OF_CHECK = 2.0
@@ -103,9 +101,8 @@ def simulate(
         RMS, whichever is larger; tow power relative to itself or to that force at the strut's mean speed. A size below
         1e-7 of the motion's own scale of force, deflection or speed counts as 1e-7 of that scale. Soil resistance and
         speed jump at an event, and count at outputs where both runs are in the same mode. The estimate excludes
-        rounding (about 1e-13 relative) and the error of the model itself. For an approximation of the periodic orbit it
-        is the difference from that orbit. ``warnings`` report an estimate above the wanted error (1e-6 for a named
-        method), and a motion too sensitive to be predicted.
+        rounding (about 1e-13 relative) and the error of the model itself. ``warnings`` report an estimate above the
+        wanted error (1e-6 for a named method), and a motion too sensitive to be predicted.
 
         A symbolic run is an exactly differentiable expression without an estimate. Its derivatives aim at
         ``Accuracy(derivatives=...)``. With stick and slip, or entry, take second derivatives of a gradient:
@@ -144,7 +141,7 @@ def simulate(
     case = Case.of(scene, float(duration), outputs, compiled=compiled)
     run, error, notes = verified(case, accuracy)
     check_strength(scene.effects.waves, (float(np.min(run.travel)), float(np.max(run.travel))))
-    multipliers, settled, stability = which_motion(run) if scene.effects.orbit == "periodic" else ((), None, ())
+    multipliers, settled, stability = which_motion(run) if scene.effects.orbit != "transient" else ((), None, ())
     notes = (*notes, *stability, *(interpreted(case, run) if compiled else ()))
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers, settled))
 
@@ -205,8 +202,6 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
         checks.refuse_drifting_own(case.scene)
     if accuracy.method == "auto":
         checks.refuse_endless(case.scene, case.duration)
-    if effects.orbit not in ("transient", "periodic"):
-        return _stand_in(case, wanted)
     if accuracy.method != "auto":
         pair = plan.named(accuracy, case.p, case.duration, case.outputs, case.structure.kinked)
         found, error = _checked(case, *pair)
@@ -333,25 +328,6 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, flo
                 break
         steps, before = plan.next_steps(steps, error, wanted), (steps, error)
     return best, failure
-
-
-def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
-    """Return an approximation of the periodic orbit, its relative difference from the orbit, and warnings."""
-    exact = replace(case.scene, effects=replace(case.scene.effects, orbit="periodic"))
-    method = plan.automatic("dop853", wanted, case.p, case.duration)
-    run = integrate(case, method).run
-    warnings = checks.remarks(run)
-    try:
-        orbit = integrate(Case.of(exact, case.duration, case.outputs), method).run
-    except IntegrationError:
-        warnings = ("the periodic orbit that this run approximates was not found: its error is unknown", *warnings)
-        return run, math.inf, warnings
-    error = difference(run, orbit)
-    _, _, orbit_warnings = which_motion(orbit)
-    warnings = (*warnings, *orbit_warnings)
-    if error > _FAR_FROM_ORBIT:
-        warnings = (f"this approximation of the periodic orbit differs from it by {error:.1%}", *warnings)
-    return run, error, warnings
 
 
 def _checked(

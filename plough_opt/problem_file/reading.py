@@ -506,8 +506,6 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
         excess |= dict.fromkeys(random, "and a record are both given: remove one")
     for key in sorted({*excess} & known):
         source.note(("variables", key) if key in table.variables else key.split("."), f"'{key}' {excess[key]}")
-    if effects.orbit != "harmonic_balance" and "harmonics" in effects.model_fields_set:
-        source.note(("effects", "harmonics"), "'effects.harmonics' belongs to orbit = \"harmonic_balance\"")
     needed = [*_required("share", "scene"), *_wave_keys(source, table, known), *random]
     needed += ["effects.contact_width"] if effects.contact == "smooth" else []
     for key in needed:

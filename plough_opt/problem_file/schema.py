@@ -23,10 +23,8 @@ from plough_opt.laws import LAWS, law_of
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion import Run
 from plough_opt.motion.effects import (
-    MOST_HARMONICS,
     OWN_EFFECTS,
     Effects,
-    HarmonicBalance,
     OwnResistance,
     Smooth,
     SpeedProfile,
@@ -199,10 +197,8 @@ class EffectsTable(Table):
     """at the steady deflection, at rest, or moving with the strut"""
     entry: bool = Effects.entry
     """whether the share enters the soil tip first"""
-    orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
-    """the motion from the start, or the orbit that repeats with every wave, exact or approximate"""
-    harmonics: Annotated[int, Field(ge=1, le=MOST_HARMONICS)] = HarmonicBalance.harmonics
-    """number of harmonics of a harmonic balance"""
+    orbit: Literal["transient", "periodic"] = "transient"
+    """the motion from the start, or the orbit that repeats with every wave"""
     formulation: Literal["derived", "printed"] = "derived"
     """the corrected equations, or those of the source with its misprints"""
     own: Annotated[list[dict[str, Any]], _readable_by(own_effects_of)] = []
@@ -236,7 +232,7 @@ class EffectsTable(Table):
             strength_wave=waves[0] if len(waves) == 1 else tuple(waves) or None,
             random_strength=RandomStrength(*random) if None not in random else spectrum,
             tow_profile=course,
-            orbit=HarmonicBalance(self.harmonics) if self.orbit == "harmonic_balance" else self.orbit,
+            orbit=self.orbit,
             own=own_effects_of(self.own),
         )
 

@@ -15,7 +15,7 @@ from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import as_number, holds_casadi
 from plough_opt.core.quantities import EVERY
 from plough_opt.laws import LAWS
-from plough_opt.motion.effects import OWN_EFFECTS, Effects, HarmonicBalance
+from plough_opt.motion.effects import OWN_EFFECTS, Effects
 from plough_opt.motion.scene import Scene, quantities_of
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.reading import apply_override, join_dotted_variables, read_source, variable_of
@@ -80,9 +80,7 @@ def _choices(scene: Scene) -> Iterator[tuple[str, Any]]:
         if getattr(effects, name) != getattr(Effects, name):
             yield name, getattr(effects, name)
     yield from (("contact", word) for word, (kind, _) in CONTACTS.items() if isinstance(effects.contact, kind))
-    if isinstance(effects.orbit, HarmonicBalance):
-        yield from {"orbit": "harmonic_balance", "harmonics": effects.orbit.harmonics}.items()
-    elif effects.orbit != Effects.orbit:
+    if effects.orbit != Effects.orbit:
         yield "orbit", effects.orbit
     if effects.own:
         yield "own", [_fields("effect", OWN_EFFECTS, one) for one in effects.own]

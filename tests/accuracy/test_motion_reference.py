@@ -203,7 +203,6 @@ class Held:
 
 WITHOUT_REFERENCE = [
     ({"motion": False}, 1.0, {}, "quasi-static"),
-    ({"strength_wave": WAVE, "orbit": "linearised"}, None, {}, "only approximate"),
     ({}, None, {}, "duration"),
     ({"own": (Tabled(3.0),)}, 0.1, {}, "wide floats"),
     ({"own": (Held(),), "contact": po.StickSlip(), "start": "rest"}, 0.1, {}, "a force is not finite"),

@@ -139,7 +139,7 @@ RECORDS = [
 KEYS = [
     *quantities(), "title", "minimise.mean_draft.per", "require.half_angle.at_most", "variables.share.height.upper",
     "variables.share.height", "accuracy.method", "accuracy.error", "accuracy.steps", "effects.contact",
-    "effects.motion", "effects.orbit", "effects.harmonics", "scene.medium", "scene.outputs", "effects.start",
+    "effects.motion", "effects.orbit", "scene.medium", "scene.outputs", "effects.start",
     "effects.entry", "soil.name", "effects", "uncertain.samples", "trade_off.points", "variables", "minimise",
     "effects.strength_wave", "effects.random_strength", "effects.random_strength.record",
 ]  # fmt: skip

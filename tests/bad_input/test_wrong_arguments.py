@@ -149,7 +149,7 @@ def _classes():
     """Return name -> class, with its required arguments and others that matter."""
     simple = _of(
         po,
-        """Accuracy Cone Effects Goal HarmonicBalance Printed RandomStrength Range Scene Smooth Soil StickSlip
+        """Accuracy Cone Effects Goal Printed RandomStrength Range Scene Smooth Soil StickSlip
         StrengthWave Wedge""",
     )
     return {

@@ -1,7 +1,6 @@
 """The program of a design and its derivatives; designs of orbits, profiles and compiled runs; limits of theories."""
 
 import dataclasses
-import functools
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -252,29 +251,28 @@ def test_motions_that_need_too_many_steps_are_skipped_or_refused(r1_scene, r1_wa
         fast.solve()
 
 
-# --- designs of periodic orbits and their approximations, against brute force over the stiffness ---
+# --- designs of periodic orbits, against brute force over the stiffness ---
 
-CHOICES = {"linearised": "linearised", "periodic": "periodic", "harmonic balance": po.HarmonicBalance(3)}
 LOWER, UPPER = 3e3, 4e5
 LIMIT = 0.12
 
 
 @pytest.fixture(scope="module")
 def build(r1_scene):
-    def scene(stiffness, choice, damping=400.0):
+    def scene(stiffness, damping=400.0):
         wave = po.StrengthWave(0.3, 0.6)
-        return r1_scene(stiffness=stiffness, strength_wave=wave, damping=damping, orbit=choice)
+        return r1_scene(stiffness=stiffness, strength_wave=wave, damping=damping, orbit="periodic")
 
-    def build(choice, *, limit=None, accuracy=None, damping=400.0, guess=5e4, lower=LOWER):
+    def build(*, limit=None, accuracy=None, damping=400.0, guess=5e4, lower=LOWER):
         d, stiffness = design(stiffness=(guess, lower, UPPER, "N/m", True))
-        run = po.simulate(scene(stiffness, choice, damping), accuracy=accuracy, outputs=48)
+        run = po.simulate(scene(stiffness, damping), accuracy=accuracy, outputs=48)
         d.minimise(objective(run))
         if limit is not None:
             d.require("deflection", run.deflection, at_most=limit, unit="m")
         return SimpleNamespace(design=d, run=run)
 
-    def numbers(stiffness, choice, damping=400.0):
-        return po.simulate(scene(stiffness, choice, damping), outputs=48)
+    def numbers(stiffness, damping=400.0):
+        return po.simulate(scene(stiffness, damping), outputs=48)
 
     build.numbers = numbers
     return build
@@ -286,30 +284,24 @@ def objective(run):
 
 @pytest.fixture(scope="module")
 def solved(build):
-    """Return the function from a kind of orbit to the design with limited deflection and its optimum, solved once."""
-
-    @functools.cache
-    def solved(name):
-        problem = build(CHOICES[name], limit=LIMIT)
-        problem.best = problem.design.solve()
-        return problem
-
-    return solved
+    """Return the design with limited deflection and its optimum."""
+    problem = build(limit=LIMIT)
+    problem.best = problem.design.solve()
+    return problem
 
 
-def branches(build, name):
+def branches(build):
     """Return the neighbourhoods of the local minima of a grid of stiffnesses that keep the limit, and their values."""
     stiffness = np.geomspace(LOWER, UPPER, 61)
-    runs = [build.numbers(k, CHOICES[name]) for k in stiffness]
+    runs = [build.numbers(k) for k in stiffness]
     wall = [np.inf, *(objective(run) if run.peak_deflection <= LIMIT else np.inf for run in runs), np.inf]
     lowest = [k for k in range(61) if wall[k] > wall[k + 1] < wall[k + 2]]
     return [(stiffness[max(k - 1, 0)], stiffness[min(k + 1, 60)], wall[k + 1]) for k in lowest]
 
 
-@pytest.mark.parametrize("name", CHOICES)
-def test_the_soft_and_the_stiff_branch_of_brute_force_are_found(solved, build, name):
-    best = solved(name).best
-    expected = branches(build, name)
+def test_the_soft_and_the_stiff_branch_of_brute_force_are_found(solved, build):
+    best = solved.best
+    expected = branches(build)
     assert len(expected) == len(best.local_optima) == 2
     found = sorted(best.local_optima, key=lambda optimum: optimum.variables["stiffness"])
     for optimum, (low, high, coarse) in zip(found, expected, strict=True):
@@ -319,18 +311,17 @@ def test_the_soft_and_the_stiff_branch_of_brute_force_are_found(solved, build, n
     assert best.objective == min(optimum.objective for optimum in found)
 
 
-@pytest.mark.parametrize("name", CHOICES)
-def test_optima_are_those_of_the_orbit_simulated_anew(solved, build, name):
-    problem = solved(name)
+def test_optima_are_those_of_the_orbit_simulated_anew(solved, build):
+    problem = solved
     soft = min(problem.best.local_optima, key=lambda optimum: optimum.variables["stiffness"])
     assert soft.active == ("deflection",)
-    assert build.numbers(soft.variables["stiffness"], CHOICES[name]).peak_deflection == pytest.approx(LIMIT, rel=1e-7)
+    assert build.numbers(soft.variables["stiffness"]).peak_deflection == pytest.approx(LIMIT, rel=1e-7)
     for optimum in problem.best.local_optima:
-        run = build.numbers(optimum.variables["stiffness"], CHOICES[name])
+        run = build.numbers(optimum.variables["stiffness"])
         assert optimum.objective == pytest.approx(objective(run), rel=1e-10)
         assert optimum.gap < 1e-8
         assert optimum.error_estimate < 1e-9
-    run = build.numbers(problem.best.variables["stiffness"], CHOICES[name])
+    run = build.numbers(problem.best.variables["stiffness"])
     assert float(problem.best(problem.run.mean_draft)) == pytest.approx(run.mean_draft, rel=1e-10)
     assert float(problem.best(problem.run.force_rms)) == pytest.approx(run.force_rms, rel=1e-10)
     assert problem.best(problem.run.deflection).ravel() == pytest.approx(run.deflection, rel=1e-10)
@@ -338,27 +329,25 @@ def test_optima_are_those_of_the_orbit_simulated_anew(solved, build, name):
     assert again.duration == pytest.approx(0.3, rel=1e-15)
     assert np.array_equal(again.mount_force, run.mount_force)
     assert again.error_estimate == run.error_estimate
-    assert len(again.checks.floquet) == (2 if name == "periodic" else 0)
+    assert len(again.checks.floquet) == 2
 
 
-@pytest.mark.parametrize("name", CHOICES)
-def test_designs_without_an_orbit_are_skipped(build, name):
+def test_designs_without_an_orbit_are_skipped(build):
     # Without damping, the search tries stiffnesses beside the resonance whose orbit is not found.
-    best = build(CHOICES[name], damping=None, lower=2e3).design.solve()
+    best = build(damping=None, lower=2e3).design.solve()
     stiffness = sorted(optimum.variables["stiffness"] for optimum in best.local_optima)
     assert stiffness[0] == pytest.approx(2e3, rel=1e-6)
     assert stiffness[-1] == pytest.approx(UPPER, rel=1e-6)
     for optimum in best.local_optima:
-        run = build.numbers(optimum.variables["stiffness"], CHOICES[name], damping=None)
+        run = build.numbers(optimum.variables["stiffness"], damping=None)
         assert optimum.objective == pytest.approx(objective(run), rel=1e-8)
 
 
-@pytest.mark.parametrize("name", ["linearised", "periodic"])
-def test_thousands_of_orbits_under_two_waves_are_tried(r1_scene, name):
+def test_thousands_of_orbits_under_two_waves_are_tried(r1_scene):
     waves = po.StrengthWave(0.2, 0.6), po.StrengthWave(0.2, 0.2, 1.0)
 
     def run_at(stiffness):
-        scene = r1_scene(stiffness=stiffness, strength_wave=waves, damping=400.0, orbit=CHOICES[name])
+        scene = r1_scene(stiffness=stiffness, strength_wave=waves, damping=400.0, orbit="periodic")
         return po.simulate(scene, outputs=48)
 
     d, stiffness = design(stiffness=(5e4, LOWER, UPPER, "N/m", True))
@@ -375,14 +364,9 @@ def test_thousands_of_orbits_under_two_waves_are_tried(r1_scene, name):
     assert best.objective == pytest.approx(objective(run_at(best.variables["stiffness"])), rel=1e-8)
 
 
-# A periodic orbit is found by harmonic balance or, with the user's own steps, by shooting.
-OWN = po.Accuracy("dop853", steps=96)
-STEPS = [("linearised", None, 56), ("periodic", None, 12), ("periodic", OWN, None), ("harmonic balance", None, 56)]
-
-
-@pytest.mark.parametrize(("name", "accuracy", "steps"), STEPS)
-def test_derivatives_of_the_program_are_those_of_differences(build, name, accuracy, steps):
-    declared = build(CHOICES[name], limit=LIMIT, accuracy=accuracy).design.declared
+@pytest.mark.parametrize(("accuracy", "steps"), [(None, 56), (po.Accuracy("dop853", steps=96), None)])
+def test_derivatives_of_the_program_are_those_of_differences(build, accuracy, steps):
+    declared = build(limit=LIMIT, accuracy=accuracy).design.declared
     program = Program.of(declared).with_steps(np.array([]))
     assert program.built.steps == [steps]
     for y in (0.2, 0.8):

@@ -117,15 +117,11 @@ def test_a_result_that_is_not_finite_gives_a_status(not_always_finite, tmp_path)
     assert [_called(share.share_evaluate, [height], 1)[0] for height in (0.26, 0.24)] == [0, 3]
 
 
-def test_a_quasi_static_scene_and_the_linear_response_are_written_as_c(r1_scene, r1_wave, tmp_path):
-    for name, duration, effects in (
-        ("main", 2.0, {"motion": False}),
-        ("linear", None, {"orbit": "linearised", "damping": 300.0}),
-    ):
-        scene = r1_scene(**effects, strength_wave=r1_wave)
-        made = po.component(scene, duration, inputs=["share.height"], outputs=["mean_draft", "force_rms"], name=name)
-        done = _compiled(write_c(made, tmp_path / name), name, "-O0", "-ffp-contract=off")
-        assert done.returncode == 0, done.stdout
+def test_a_quasi_static_scene_is_written_as_c(r1_scene, r1_wave, tmp_path):
+    scene = r1_scene(motion=False, strength_wave=r1_wave)
+    made = po.component(scene, 2.0, inputs=["share.height"], outputs=["mean_draft", "force_rms"], name="main")
+    done = _compiled(write_c(made, tmp_path / "main"), "main", "-O0", "-ffp-contract=off")
+    assert done.returncode == 0, done.stdout
 
 
 def test_invalid_exports_are_refused_and_write_nothing(around_r1, r1_scene, r1_wave, tmp_path):

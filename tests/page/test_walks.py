@@ -339,18 +339,6 @@ def test_without_scripts_the_report_is_readable(browser, written):
     context.close()
 
 
-def test_a_scene_that_the_page_cannot_compute_stays_a_report(browser, tmp_path):
-    (tmp_path / "orbit.toml").write_text(changed(('duration = "2 s"\n', "")), encoding="utf-8")
-    fixed = ["share.wedge_angle=35 deg", "share.height=0.25 m", "scene.stiffness=50 kN/m", "effects.orbit=linearised"]
-    changes = [part for text in fixed for part in ("--set", text)]
-    printed("explore", tmp_path / "orbit.toml", "-o", tmp_path / "orbit.html", *changes)
-    page = browser.new_page()
-    page.goto((tmp_path / "orbit.html").as_uri())
-    assert "does not compute further designs" in page.locator("#explore").inner_text()
-    assert "approximations of periodic orbits" in page.locator("#explore").inner_text()
-    page.close()
-
-
 def test_several_shares_move_together_and_alone(opened, tmp_path):
     fixed = ["share.wedge_angle=39 deg", "scene.stiffness=80 kN/m", "scene.duration=0.5 s"]
     problem = po.read_problem(PROBLEMS / "two_shares.toml", fixed)

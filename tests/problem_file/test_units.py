@@ -253,7 +253,6 @@ SAID = {
     ),
     "events": scene_of(contact=po.StickSlip(1.2), entry=True, start="towed"),
     "an orbit": scene_of(strength_wave=WAVE, damping=400.0, orbit="periodic"),
-    "harmonics": scene_of(strength_wave=WAVE, damping=400.0, orbit=po.HarmonicBalance(4)),
     "random strength": scene_of(random_strength=po.RandomStrength(0.2, 0.3), damping=400.0),
     "another law": scene_of(medium=po.laws.McKyesAli(depth=0.35)),
     "a speed over time": scene_of(tow_profile=po.SpeedProfile((0.0, 0.5, 1.5), ((0.5, 0.5), (1.0, -0.25)))),

@@ -371,18 +371,15 @@ def _integration_of(run: EmbeddedRun, only_averages: bool, steps: int | None) ->
     Args:
         run: the run.
         only_averages: whether the design uses nothing but its averages; states at the outputs are then left out.
-        steps: number of steps in place of the run's own, or None. For a periodic orbit it is the number of harmonics:
-            harmonic balance finds the orbit of the shooting method in a fraction of the time.
+        steps: number of steps in place of the run's own, or None.
     """
     own = run.integration
-    accuracy, timeline, structure = own.accuracy, own.timeline, own.structure
-    if structure.orbit == "periodic" and steps is not None:
-        structure, steps = replace(structure, orbit="harmonic_balance", harmonics=steps), None
+    accuracy, timeline = own.accuracy, own.timeline
     if only_averages and accuracy.order_8:
         timeline = replace(timeline, outputs=1, aligned=True)
     if steps is not None:
         timeline = replace(timeline, steps=steps, aligned=timeline.moving)
-    solver = integration(structure, accuracy, timeline)
+    solver = integration(own.structure, accuracy, timeline)
     return solver, solver.results - solver.equation.averages if only_averages else 0
 
 

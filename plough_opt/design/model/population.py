@@ -102,10 +102,8 @@ def linear_variables(
 
 # Numbers kept in memory at once: designs are evaluated in chunks of this many results.
 _MOST_RESULTS = 4_000_000
-# Runs that are integrated one by one: the integrator's tolerance and the harmonics of an orbit, which leave relative
-# errors of about 1e-5.
+# The integrator's tolerance for runs that are integrated one by one, which leaves relative errors of about 1e-5.
 _ROUGH_TOLERANCE = 1e-7
-_ROUGH_HARMONICS = 8
 
 
 @dataclass(frozen=True)
@@ -127,8 +125,8 @@ class Population:
     """Objective and requirements of many designs, whose runs each take as many steps as they need.
 
     Attributes:
-        vectorised: whether all runs are integrated together, at about ten microseconds each. Runs with events and
-            orbits by harmonic balance are integrated one by one, which takes a thousand times as long.
+        vectorised: whether all runs are integrated together, at about ten microseconds each. Runs with events are
+            integrated one by one, which takes a thousand times as long.
         compiled: whether machine code integrates those that are integrated together.
         runs: number of runs in a design.
     """
@@ -173,11 +171,6 @@ class Population:
                 self.compiled &= many.compiled
                 return _Group(tuple(members), partial(many, threads=available()), many.size)
         run = parts.runs[members[0]]
-        if run.integration.structure.orbit == "linearised":
-            closed = run.integration.function
-            p = ca.MX.sym("p", closed.numel_in(0))
-            rows = by_rows(ca.Function("rows", [p], [ca.densify(ca.veccat(*closed.call([p])))]))
-            return _Group(tuple(members), lambda theta, **_: rows(theta)[0], run.integration.results)
         self.vectorised = False
         solver = _rough_integration(run) if self._rough else run.integration
         return _Group(tuple(members), lambda theta, **_: _one_by_one(solver, theta), solver.results)
@@ -234,11 +227,8 @@ def _algebra_of_groups(full: ca.Function, parts: Split, groups: list[_Group]) ->
 
 
 def _rough_integration(run: EmbeddedRun) -> Integration:
-    """Return a less accurate integration of a run: with a loose tolerance, or for an orbit with few harmonics."""
+    """Return a less accurate integration of a run: with a loose tolerance."""
     own = run.integration
-    if own.structure.orbit == "periodic":
-        structure = replace(own.structure, orbit="harmonic_balance", harmonics=_ROUGH_HARMONICS)
-        return integration(structure, own.accuracy, own.timeline)
     if own.accuracy.adaptive:
         return integration(own.structure, replace(own.accuracy, tolerance=_ROUGH_TOLERANCE), own.timeline)
     return own

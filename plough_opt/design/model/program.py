@@ -61,7 +61,7 @@ class BuiltProgram:
     @cached_property
     def rough(self) -> Nlp:
         """The program with two fifths of the steps, enough to tell the sign of the Lagrangian's curvatures."""
-        return self.write(rough_steps(self.program.exact, self.steps))
+        return self.write(rough_steps(self.steps))
 
     @cached_property
     def solver(self) -> Solver:

@@ -16,7 +16,6 @@ from plough_opt.core.errors import DomainError, InputError, IntegrationError, Pl
 from plough_opt.core.expressions import is_quantity, map_expressions, with_numbers
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.nlp import Vector, has_own_law, is_own, split
-from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.equation import parameters as parameters_of
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.run import Run
@@ -335,14 +334,13 @@ def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> N
 
 
 class Steps:
-    """Bounds of the numbers of integration steps, and the number of harmonics that replaces it for orbits."""
+    """Bounds of the numbers of integration steps."""
 
     # With the rate by `Rates.summed` [rad]. It leaves a relative error of about 3e-9 in averages; the check at the
     # optimum demands finer steps if that is not enough.
     phase_per_step: Final = 1.15
     most: Final = 50_000
     fewest_if_rough: Final = 20  # of a run that only has to show the sign of a curvature
-    harmonics: Final = 12  # of a periodic orbit, whose amplitudes decay exponentially
     exponent: Final = 0.125  # An error e times too large takes e to this power times as many: the method has order 8.
     most_factor: Final = 3.0  # of one refinement
 
@@ -350,7 +348,7 @@ class Steps:
 def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinement: float) -> list[int | None]:
     """Return for each run the number of steps that the fastest of several designs needs.
 
-    It is the number of harmonics for a periodic orbit, and None for a run whose accuracy is not automatic.
+    It is None for a run whose accuracy is not automatic.
 
     Args:
         exact: the design's expressions.
@@ -364,9 +362,6 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
     for k, run in enumerate(exact.runs):
         if run.integration.accuracy.method != "auto":
             steps.append(None)
-            continue
-        if _holds_orbit(exact, k):
-            steps.append(min(math.ceil(Steps.harmonics * refinement), MOST_HARMONICS))
             continue
         fastest = 0.0
         for numbers in designs:
@@ -385,18 +380,11 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
     return steps
 
 
-def rough_steps(exact: TightEvaluation, steps: Sequence[int | None]) -> list[int | None]:
-    """Return the numbers of steps for rough runs: two fifths, but for orbits the same number of harmonics."""
-    return [
-        own if own is None or _holds_orbit(exact, k) else max(Steps.fewest_if_rough, 2 * own // 5)
-        for k, own in enumerate(steps)
-    ]
+def rough_steps(steps: Sequence[int | None]) -> list[int | None]:
+    """Return the numbers of steps for rough runs: two fifths."""
+    return [own and max(Steps.fewest_if_rough, 2 * own // 5) for own in steps]
 
 
 def steps_factor(excess: float) -> float:
     """Return the factor on the number of steps that reduces an error by the factor ``excess``, with a margin."""
     return min(Steps.most_factor, 1.1 * excess**Steps.exponent) if excess < math.inf else Steps.most_factor
-
-
-def _holds_orbit(exact: TightEvaluation, run: int) -> bool:
-    return exact.runs[run].integration.structure.orbit == "periodic"

@@ -121,7 +121,7 @@ def _casadi_code(name: str, functions: Collection[ca.Function]) -> str:
         InputError: the Functions contain a root finder, for which CasADi generates no C.
     """
     if any(inner.class_name() == "Newton" for function in functions for inner in function.find_functions()):
-        raise InputError("CasADi writes no periodic orbit as C: export to casadi, or use orbit = 'linearised'")
+        raise InputError("CasADi writes no periodic orbit as C: export to casadi")
     return code_of(f"{name}_graph", functions)
 
 

@@ -1,6 +1,6 @@
 """Effects of a scene, and their terms in the equation of motion."""
 
-from plough_opt.motion.effects.effects import MOST_HARMONICS, Effects, HarmonicBalance
+from plough_opt.motion.effects.effects import Effects
 from plough_opt.motion.effects.own import OWN_EFFECTS, Own, OwnResistance, RestingResistance, slopes
 from plough_opt.motion.effects.profile import SpeedProfile, TowProfile, profile_of
 from plough_opt.motion.effects.terms import (
@@ -20,8 +20,8 @@ from plough_opt.motion.effects.terms import (
 )
 
 __all__ = [
-    "MOST_HARMONICS", "OWN_EFFECTS", "TERMS", "Damping", "Effects", "Entry", "HarmonicBalance", "Own", "OwnResistance",
-    "RestingResistance", "Smooth", "SmoothContact", "SpeedProfile", "StickSlip", "StickSlipContact",
+    "OWN_EFFECTS", "TERMS", "Damping", "Effects", "Entry", "Own", "OwnResistance", "RestingResistance", "Smooth",
+    "SmoothContact", "SpeedProfile", "StickSlip", "StickSlipContact",
     "StrengthWaves", "Term", "TowProfile", "TowRamp", "profile_of", "slopes", "wave_names",
 ]  # fmt: skip
 

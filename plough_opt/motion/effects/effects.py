@@ -1,15 +1,15 @@
 """Effects: the choice of effects in a scene, and checks of which exclude each other."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Literal
 
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_choice, check_kind, check_switch, shown, whole_number
+from plough_opt.core.checks import check_choice, check_kind, check_switch, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import COUNT, Expression, as_number, is_symbolic
+from plough_opt.core.expressions import Expression, as_number, is_symbolic
 from plough_opt.core.plain_data import ByName
 from plough_opt.core.quantities import MOST_WAVES, read_fields
 from plough_opt.laws.law import Formulation, Printed, errors_of
@@ -17,29 +17,6 @@ from plough_opt.motion.effects.own import OwnResistance, check_own
 from plough_opt.motion.effects.profile import SpeedProfile
 from plough_opt.motion.effects.terms import Smooth, StickSlip
 from plough_opt.soil.strength import RandomStrength, Spectrum, StrengthWave, turns_of
-
-MOST_HARMONICS = 64
-"""Largest number of harmonics of a harmonic balance."""
-
-
-@dataclass(frozen=True)
-class HarmonicBalance:
-    """Approximation of the periodic orbit by a mean and harmonics of the strength wave's frequency.
-
-    Args:
-        harmonics: number of harmonics, from 1 to 64.
-
-    Example:
-        >>> import plough_opt as po
-        >>> wave = po.StrengthWave(0.3, "20 cm")
-        >>> po.Effects(damping=400.0, strength_wave=wave, orbit=po.HarmonicBalance(3)).orbit.harmonics
-        3
-    """
-
-    harmonics: int = field(default=3, metadata=COUNT)
-
-    def __post_init__(self) -> None:
-        whole_number("harmonics", self.harmonics, 1, MOST_HARMONICS)
 
 
 @dataclass(frozen=True)
@@ -74,8 +51,7 @@ class Effects:
             speed term the two factors multiply.
         own: resistances of the user's own classes, added to that of the soil: see `OwnResistance`.
         orbit: ``"transient"``: motion from the start over the duration; ``"periodic"``: one wavelength of the periodic
-            orbit under the strength wave, without a duration; ``"linearised"``: the linear forced response in closed
-            form; `HarmonicBalance`: the first harmonics. The last two approximate the periodic orbit.
+            orbit under the strength wave, without a duration.
         formulation: ``"derived"``; ``"printed"``: equations (25)-(27) with the errors of the print, to show their
             effect; or a `Printed` with some of them. Printed equations are not physics, and a run warns of it.
 
@@ -104,16 +80,14 @@ class Effects:
     speed_term: Expression | None = None
     rate_term: Expression | None = None
     own: tuple[Annotated[OwnResistance, ByName()], ...] = ()
-    orbit: Literal["transient", "periodic", "linearised"] | HarmonicBalance = "transient"
+    orbit: Literal["transient", "periodic"] = "transient"
     formulation: Formulation = "derived"
 
     def __post_init__(self) -> None:
         self._check_types()
         if not isinstance(self.contact, Smooth | StickSlip):
             check_choice("contact", self.contact, ("resisting",), ", Smooth(width) or StickSlip(breakaway)")
-        if not isinstance(self.orbit, HarmonicBalance):
-            words = ("transient", "periodic", "linearised")
-            check_choice("orbit", self.orbit, words, ", or HarmonicBalance(harmonics)")
+        check_choice("orbit", self.orbit, ("transient", "periodic"))
         check_choice("start", self.start, ("equilibrium", "rest", "towed"))
         read_fields(self, **{name: f"effects.{name}" for name in ("tow_ramp", "damping", "speed_term", "rate_term")})
         if not self.motion:
@@ -146,20 +120,16 @@ class Effects:
             raise InputError(f"strength_wave has {len(self.waves)} waves: give at most the {MOST_WAVES} largest")
 
     def _check_orbit(self) -> None:
-        """Raise InputError if a periodic orbit, or an approximation of it, cannot have one of the effects."""
+        """Raise InputError if a periodic orbit cannot have one of the effects."""
         if not self.motion:
             raise InputError("an orbit needs motion: a quasi-static share repeats itself from the start")
         if self.strength_wave is None:
             raise InputError("an orbit needs a strength_wave: without one the share ends up sliding steadily")
         # Templates of scenes have SX as placeholders of numbers; no orbit takes SX, as `integrators.embed` says.
-        turns = (0,) if any(isinstance(wave.wavelength, ca.SX) for wave in self.waves) else self.turns
+        if not any(isinstance(wave.wavelength, ca.SX) for wave in self.waves):
+            turns_of(self.waves)  # refuses waves without a common length
         if len(self.waves) > 1 and self.own:
             raise InputError("an orbit under several strength waves cannot have own resistances: simulate from a start")
-        if isinstance(self.orbit, HarmonicBalance) and self.orbit.harmonics < max(turns):
-            raise InputError(
-                f"the shortest strength wave turns {max(turns)} times in the common period: use"
-                f" HarmonicBalance({max(turns)}) or more"
-            )
         if self.contact != "resisting":
             raise InputError("an orbit needs contact = 'resisting': simulate other contacts from a start until settled")
         if self.start != "equilibrium" or self.tow_ramp is not None or self.entry:

@@ -230,7 +230,7 @@ def refuse_endless(scene: Scene, duration: float) -> None:
 
 
 def refuse_stiff_orbit(scene: Scene) -> None:
-    """Raise an error if finding a periodic orbit, or the error of its approximation, would take minutes.
+    """Raise an error if finding a periodic orbit would take minutes.
 
     Args:
         scene: numeric scene with an orbit.
@@ -241,9 +241,8 @@ def refuse_stiff_orbit(scene: Scene) -> None:
     total = plan.rates_of(scene).fastest * float(as_number(scene.wave_period)) if scene.effects.waves else 0.0
     if total <= plan.MOST_SHOT:
         return
-    purpose = "" if scene.effects.orbit == "periodic" else ", which the error of this approximation needs,"
     raise IntegrationError(
-        f"the periodic orbit of a {scene.describe()}{purpose} would take minutes to find: its fastest part makes"
+        f"the periodic orbit of a {scene.describe()} would take minutes to find: its fastest part makes"
         f" {total / (2.0 * math.pi):.3g} turns in one wavelength; use a softer or less damped mount, a shorter wave, a"
         " higher tow speed or the quasi-static scene (Effects(motion=False)), or name a method, such as"
         f" Accuracy('dop853', steps={plan.steps_for(total)}), to compute it anyway"

@@ -21,6 +21,7 @@ from plough_opt.core.expressions import Column
 from plough_opt.motion.equation import Equation
 from plough_opt.motion.methods import DOP853
 from plough_opt.motion.solvers.integrators import Integration, integration
+from plough_opt.motion.solvers.orbit import orbit_start
 from plough_opt.motion.solvers.plan import finer
 from plough_opt.motion.solvers.steps import (
     OneStep,
@@ -30,6 +31,7 @@ from plough_opt.motion.solvers.steps import (
     pairs,
     pooled,
     product,
+    run_from,
     spans_of,
     unbroken,
 )
@@ -73,8 +75,10 @@ def _shifted(integration: Integration, varying: tuple[int, ...]) -> tuple[ca.MX,
 
 
 def jets_of(integration: Integration, varying: tuple[int, ...], order: int, *, compiled: bool = False) -> ca.Function:
-    """Return the jet of any integration: `jets` for steps of order 8, otherwise by differentiating the whole run."""
-    if integration.accuracy.order_8 and integration.structure.orbit == "transient":
+    """Return the jet of any integration: carried along by steps of order 8, otherwise by differentiating the run."""
+    if integration.structure.orbit != "transient":
+        return _orbit_jets(integration.equation, integration.timeline, varying, order)
+    if integration.accuracy.order_8:
         return jets(integration.equation, integration.timeline, varying, order, compiled=compiled)
     p, shift, results = _shifted(integration, varying)
     whole = ca.Function("whole", [p, shift], [ca.densify(_taylor(results, shift, order))])
@@ -107,15 +111,25 @@ def jets(
         states output by output, means, variances). Its columns are the values, the first derivatives and, with order 2,
         the second derivatives of `pairs`.
     """
+    p = ca.MX.sym("p", len(equation.names) + 1)
+    first, ramp_part = _at_start(equation, varying, order)(p)
+    whole = _jets_from(equation, timeline, varying, order, compiled)(first, ramp_part, p)
+    return ca.Function("jets", [p], [whole])
+
+
+@lru_cache(maxsize=64)
+def _jets_from(
+    equation: Equation, timeline: Timeline, varying: tuple[int, ...], order: int, compiled: bool
+) -> ca.Function:
+    """Return (jet of the state at time 0, jet of the ramp's part of the duration, parameters) -> result of `jets`."""
     (p, known), count = equation.symbols(ca.MX), len(varying)
     ramp = moving_ramp(timeline, known)
     spans = spans_of(timeline, p[-1], ramp)
-    steps = spans.shape[1]
-    first, ramp_part = _at_start(equation, varying, order)(p)
+    steps, width = spans.shape[1], _width(count, order)
+    first, ramp_part = ca.MX.sym("first", 2, width), ca.MX.sym("ramp_part", 1, width)
     step = (_compiled_jet_step if compiled else _jet_step)(equation, varying, order, spans.shape[0])
     one = unbroken(equation, timeline, step, count)
     states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
-    width = first.shape[1]
     moving = None if ramp is None else (ramp_part, spans[3, :])
     averages = pooled(moments, spans[1, :], equation.count, count, moving)
     # Rows of w and below them of w', each with a row for each column of the jet.
@@ -123,7 +137,30 @@ def jets(
     paths = ca.horzcat(ca.vec(first), ca.reshape(states, 2 * width, steps))[places, :]
     is_duration = [position == p.numel() - 1 for position in varying]
     read = _read(timeline, paths, (p[-1], ramp), is_duration)
-    return ca.Function("jets", [p], [ca.vertcat(read, *averages)])
+    return ca.Function("jets_from", [first, ramp_part, p], [ca.vertcat(read, *averages)])
+
+
+@lru_cache(maxsize=64)
+def _orbit_jets(equation: Equation, timeline: Timeline, varying: tuple[int, ...], order: int) -> ca.Function:
+    """Return the same as `jets` for a periodic orbit, whose start moves with the parameters.
+
+    A period maps the start x0 to itself: by the implicit function theorem its derivatives of each order are those of
+    the state after the period with this order of x0 left out, times (1 - M)^-1 with the monodromy matrix M. What was
+    left out then enters every result by the slopes of the results by x0.
+    """
+    p, first, count = ca.MX.sym("p", len(equation.names) + 1), ca.MX.sym("first", 2), len(varying)
+    results = ca.vertcat(*map(ca.vec, run_from(equation, timeline)(first, p)))
+    by_first = ca.Function("by_first", [first, p], [ca.densify(ca.jacobian(results, first))])
+    start = orbit_start(equation, timeline)(p)
+    slopes, end = by_first(start, p), slice(2 * timeline.outputs, 2 * timeline.outputs + 2)
+    jet, width = start, 1
+    for each in range(1, order + 1):
+        unfinished = ca.horzcat(jet, ca.MX.zeros(2, _width(count, each) - width))
+        whole = _jets_from(equation, timeline, varying, each, False)(unfinished, ca.MX.zeros(1, unfinished.shape[1]), p)
+        added = ca.solve(ca.MX.eye(2) - slopes[end, :], whole[end, width:])
+        jet, width, before = ca.horzcat(jet, added), unfinished.shape[1], width
+    result = ca.horzcat(whole[:, :before], whole[:, before:] + slopes @ added)
+    return ca.Function("orbit_jets", [p], [result])
 
 
 def _read(timeline: Timeline, paths: ca.MX, times: tuple[ca.MX, ca.MX | None], is_duration: list[bool]) -> ca.MX:
@@ -279,7 +316,7 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
 
     Derivatives are by relative changes of the parameters, second ones by all pairs of these. The finer integration has
     half as many steps again, or a tenth of the tolerance. Through events only first derivatives are compared, because
-    second ones take as long as a solve. The derivatives of orbits are not compared, and their error counts as 0.
+    second ones take as long as a solve.
 
     Args:
         solver: integrates the runs.
@@ -291,7 +328,7 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
         The error [-] relative to the largest of value, first and second derivatives of each kind of result: deflection
         and speed (the largest of all outputs), means, and mean squares. It is infinite if the finer integration fails.
     """
-    if solver.structure.orbit != "transient" or not varying:
+    if not varying:
         return 0.0
     order = 2 if solver.accuracy.order_8 else 1
     many = solver.timeline.steps * given.shape[1] > _MOST_CHECKED_STEPS

@@ -1,9 +1,8 @@
 """The periodic orbit under strength waves, and where a share that starts from equilibrium ends up.
 
 Under waves of the soil's strength that repeat themselves every length ell, a motion may repeat itself with the period
-T = ell/V0. Shooting finds the state to which one period of steps of order 8 returns, and CasADi differentiates the root
-by the implicit function theorem. Both approximations are Fourier series: the linear response to the waves about steady
-sliding, in closed form, and the harmonics that balance the equation of motion.
+T = ell/V0. Newton's method on the return map, by steps of order 8, finds the state to which one period returns. It
+begins at the linear response to the waves about steady sliding.
 
 Several motions can persist: the orbit that repeats itself every wavelength, others that repeat themselves after
 several, and some that never do. The Floquet multipliers of an orbit show whether a small deviation decays, but only an
@@ -22,8 +21,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.expressions import Column, stacked
-from plough_opt.motion.effects import StrengthWaves, wave_names
+from plough_opt.core.expressions import Column, sqrt, stacked
+from plough_opt.motion.effects import wave_names
 from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.run import Run, Settled
 from plough_opt.motion.scene import Scene
@@ -34,7 +33,7 @@ from plough_opt.motion.solvers.steps import Array, Timeline, run_from, step
 # an IntegrationError.
 MOST_ITERATIONS: Final = 60
 _NEWTON_OPTIONS = {"abstol": 1e-12, "max_iter": MOST_ITERATIONS, "error_on_fail": False, "show_eval_warnings": False}
-# Largest residual of a root, in units of `_size`.
+# Largest residual of a root, in units of `near_orbit`.
 _LARGEST_RESIDUAL = 1e-8
 # The unit of the unknowns is proportional to the wave amplitude only above this value, so that derivatives exist at 0.
 _LEAST_AMPLITUDE = 1e-3
@@ -47,10 +46,53 @@ def orbit_map(equation: Equation, timeline: Timeline) -> ca.Function:
 
     The duration, its last parameter, must be the period ell/V0.
     """
-    if equation.structure.orbit == "periodic":
-        return _shooting(equation, timeline)
-    series = _linear(equation) if equation.structure.orbit == "linearised" else _balanced(equation)
-    return _from_series(equation, timeline, series)
+    p = ca.MX.sym("p", len(equation.names) + 1)
+    results = run_from(equation, timeline)(orbit_start(equation, timeline)(p), p)
+    return ca.Function("orbit", [p], list(results), {"never_inline": True})
+
+
+@lru_cache(maxsize=32)
+def orbit_start(equation: Equation, timeline: Timeline) -> ca.Function:
+    """Return parameters -> state to which a period returns, by Newton's method; NaN if it finds none."""
+    p, x = ca.MX.sym("p", len(equation.names) + 1), ca.MX.sym("x", 2)
+    guess, unit = near_orbit(equation)(p)
+    miss = (run_from(equation, timeline)(x * unit, p)[0][:, -1] - x * unit) / unit
+    solver = ca.rootfinder("orbit", "newton", {"x": x, "p": p, "g": miss}, _NEWTON_OPTIONS)
+    root = solver(x0=guess / unit, p=p)["x"]
+    remaining = ca.Function("remaining", [x, p], [miss])(root, p)
+    state = ca.if_else(ca.norm_inf(remaining) < _LARGEST_RESIDUAL, root, np.nan) * unit
+    return ca.Function("orbit_start", [p], [state])
+
+
+@lru_cache(maxsize=32)
+def near_orbit(equation: Equation) -> ca.Function:
+    """Return parameters -> state (w [m], w' [m/s]) of the linear response at time 0, and the units of states.
+
+    On the steady path L = V0 t, with theta = omega t, the resistance is Fm + sum of Fs sin(n theta) + Fc cos(n theta),
+    where each wave makes n turns in the common length. The response solves M w'' + d w' + k0 w = that series, delayed
+    by the phase 2 pi z0/ell of the start deflection, with d = c + dF/dL'. The unit of w is the deflection by the waves'
+    forces, slightly above zero.
+    """
+    wave = equation.structure.wave
+    assert wave is not None  # every scene with an orbit has one
+    p, known = equation.symbols(ca.MX)
+    turns = sorted({*(wave.turns or (1,))})
+    repeats: Column = wave.repeats(known)
+    omega, n = 2.0 * math.pi * known["tow_speed"] / repeats, ca.DM(turns)
+    count = _SAMPLES * turns[-1]
+    phases = 2.0 * math.pi * np.arange(count) / count
+    forces, slopes = equation.sliding.map(count)(ca.DM(phases).T / (2.0 * math.pi) * repeats, ca.repmat(p, 1, count))
+    along_sine, along_cosine = ((forces @ ca.DM(2.0 / count * f(np.outer(phases, turns)))).T for f in (np.sin, np.cos))
+    damped = (equation.structure.pull(known, 0.0, 1.0) + ca.sum2(slopes) / count) * n * omega
+    spring = known["stiffness"] - known["inertia"] * (n * omega) ** 2
+    sine = (spring * along_sine + damped * along_cosine) / (spring**2 + damped**2)
+    cosine = (spring * along_cosine - damped * along_sine) / (spring**2 + damped**2)
+    lag: Column = n * (2.0 * math.pi / repeats * equation.structure.start_deflection(known))
+    w = ca.sum2(forces) / count / known["stiffness"] + ca.sum1(cosine * ca.cos(lag) - sine * ca.sin(lag))
+    turning = omega * ca.dot(n, sine * ca.cos(lag) + cosine * ca.sin(lag))
+    amplitude = sqrt(sum(known[wave_names(k)[0]] ** 2 for k in range(wave.count)) + _LEAST_AMPLITUDE**2)
+    size = amplitude * known["static"] / known["stiffness"] + 1e-30
+    return ca.Function("near_orbit", [p], [stacked(w, turning), stacked(size, size * omega)])
 
 
 @lru_cache(maxsize=32)
@@ -59,94 +101,6 @@ def monodromy(equation: Equation, timeline: Timeline) -> ca.Function:
     first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(equation.names) + 1)
     last = run_from(equation, timeline)(first, p)[0][:, -1]
     return ca.Function("monodromy", [first, p], [ca.jacobian(last, first)])
-
-
-def _response(equation: Equation, column: ca.MX, p: dict[str, Column]) -> tuple[Column, Column, Column]:
-    """Return the mean, the sine and the cosine coefficients of w [m] in the linear response about steady sliding.
-
-    On the steady path L = V0 t, with theta = omega t, the resistance is Fm + sum of Fs sin(n theta) + Fc cos(n theta),
-    where each wave makes n turns in the common length. The response solves M w'' + d w' + k0 w = that series, delayed
-    by the phase 2 pi z0/ell of the start deflection, with d = c + dF/dL'. The coefficients are columns by the number n
-    from 1 on.
-
-    Args:
-        equation: the equation of motion.
-        column: its parameters with the duration last.
-        p: the same by name.
-    """
-    repeats, omega, turns = _wave(equation).repeats(p), _frequency(equation, p), _turns(equation)
-    mean, along_sine, along_cosine, slope = _series(equation)(column)
-    n = ca.DM(turns)
-    damping = equation.structure.pull(p, 0.0, 1.0) + slope
-    spring, damped = p["stiffness"] - p["inertia"] * (n * omega) ** 2, damping * n * omega
-    size = 1.0 / (spring**2 + damped**2)
-    sine: Column = size * (spring * along_sine + damped * along_cosine)
-    cosine: Column = size * (spring * along_cosine - damped * along_sine)
-    lag: Column = n * (2.0 * math.pi / repeats * equation.structure.start_deflection(p))
-    every = ca.DM.eye(turns[-1])[:, [turn - 1 for turn in turns]]
-    sines = ca.mtimes(every, sine * ca.cos(lag) + cosine * ca.sin(lag))
-    return mean / p["stiffness"], sines, ca.mtimes(every, cosine * ca.cos(lag) - sine * ca.sin(lag))
-
-
-def _wave(equation: Equation) -> StrengthWaves:
-    """Return the strength waves, which every scene with an orbit has."""
-    assert equation.structure.wave is not None
-    return equation.structure.wave
-
-
-def _frequency(equation: Equation, p: dict[str, Column]) -> Column:
-    """Return the angular frequency of an orbit [rad/s]."""
-    found: Column = 2.0 * math.pi * p["tow_speed"] / _wave(equation).repeats(p)
-    return found
-
-
-def _turns(equation: Equation) -> list[int]:
-    """Return how many turns each wave makes in the common length, ascending, each number once."""
-    return sorted({*(_wave(equation).turns or (1,))})
-
-
-@lru_cache(maxsize=32)
-def _series(equation: Equation) -> ca.Function:
-    """Return parameters -> Fourier coefficients of the resistance on the steady path, and its slope.
-
-    The duration is the last of the parameters. The results are the mean change since the start [N], the sine and the
-    cosine coefficients [N], columns by `_turns`, and the mean derivative by the speed [N s/m].
-    """
-    turns, (p, known) = _turns(equation), equation.symbols(ca.MX)
-    count = _SAMPLES * turns[-1]
-    phases = 2.0 * math.pi * np.arange(count) / count
-    repeats: Column = _wave(equation).repeats(known)
-    forces, slopes = equation.sliding.map(count)(ca.DM(phases).T / (2.0 * math.pi) * repeats, ca.repmat(p, 1, count))
-    sines, cosines = (2.0 / count * function(np.outer(phases, turns)) for function in (np.sin, np.cos))
-    found = [ca.sum2(forces) / count, *((forces @ ca.DM(b)).T for b in (sines, cosines)), ca.sum2(slopes) / count]
-    return ca.Function("series", [p], found)
-
-
-def _size(equation: Equation, p: dict[str, Column]) -> Column:
-    """Return the unit [m] of an orbit's unknowns: the deflection by the waves' forces, slightly above zero."""
-    amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(_wave(equation).count)) + _LEAST_AMPLITUDE**2)
-    return amplitude * p["static"] / p["stiffness"] + 1e-30
-
-
-@lru_cache(maxsize=32)
-def near_orbit(equation: Equation) -> ca.Function:
-    """Return parameters -> state (w [m], w' [m/s]) of the linear response at time 0, and the units of states."""
-    p, known = equation.symbols(ca.MX)
-    mean, sines, cosines = _response(equation, p, known)
-    omega, size = _frequency(equation, known), _size(equation, known)
-    turning = omega * ca.dot(ca.DM(range(1, sines.numel() + 1)), sines)
-    state, unit = stacked(mean + ca.sum1(cosines), turning), stacked(size, size * omega)
-    return ca.Function("near_orbit", [p], [state, unit])
-
-
-def _shooting(equation: Equation, timeline: Timeline) -> ca.Function:
-    """Return the Function of the orbit whose state returns to itself after one period of steps."""
-    p, x = ca.MX.sym("p", len(equation.names) + 1), ca.MX.sym("x", 2)
-    guess, unit = near_orbit(equation)(p)
-    once, whole = (run_from(equation, each) for each in (Timeline(1, timeline.steps), timeline))
-    miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
-    first = _root(x, p, miss, guess / unit) * unit
-    return ca.Function("orbit", [p], list(whole(first, p)), {"never_inline": True})
 
 
 # Change of a state, in units of `near_orbit`, by which the map of a period is differentiated. Curvature leaves
@@ -216,105 +170,24 @@ def without_orbit(scene: Scene) -> str:
     )
 
 
-def _linear(equation: Equation) -> ca.Function:
-    """Return parameters -> Fourier coefficients of the linear response: mean, cosines, sines [m]."""
-    p, known = equation.symbols(ca.MX)
-    mean, sines, cosines = _response(equation, p, known)
-    return ca.Function("linear", [p], [stacked(mean, cosines, sines)])
-
-
-@lru_cache(maxsize=32)
-def _balanced(equation: Equation) -> ca.Function:
-    """Return parameters -> Fourier coefficients for which all harmonics kept balance the equation of motion."""
-    count = equation.structure.harmonics
-    samples = 4 * count + 12
-    phases = 2.0 * math.pi * np.arange(samples) / samples
-    basis, slope, bend = _basis(count, phases)
-    (p, known), x = equation.symbols(ca.MX), ca.MX.sym("x", 2 * count + 1)
-    mean, sines, cosines = _response(equation, p, known)
-    omega = _frequency(equation, known)
-    size = _size(equation, known)
-    w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
-    rate, acceleration = rate * omega, acceleration * omega**2
-    states = stacked(w.T, rate.T)
-    forced = equation.rate.map(samples)(ca.DM(phases).T / omega, states, ca.repmat(p[:-1], 1, samples))[1, :].T
-    weights = np.where(np.arange(2 * count + 1) == 0, 1.0, 2.0)[:, None] * basis.T / samples
-    # In units of the spring's and the inertia's accelerations, so that the residual is of order one.
-    stiff = known["stiffness"] / known["inertia"] + omega**2
-    out_of_balance = ca.mtimes(ca.DM(weights), acceleration - forced) / (size * stiff)
-    higher = ca.MX.zeros(count - sines.numel())
-    guess = stacked(mean / size, cosines / size, higher, sines / size, higher)
-    return ca.Function("balanced", [p], [_root(x, p, out_of_balance, guess) * size])
-
-
-def _root(x: ca.MX, p: ca.MX, residual: ca.MX, guess: ca.MX) -> ca.MX:
-    """Return the x at which a residual vanishes, as a function of p; NaN if Newton's method does not find it."""
-    solver = ca.rootfinder("orbit", "newton", {"x": x, "p": p, "g": residual}, _NEWTON_OPTIONS)
-    found = solver(x0=guess, p=p)
-    remaining = ca.Function("remaining", [x, p], [residual])(found["x"], p)
-    return ca.if_else(ca.norm_inf(remaining) < _LARGEST_RESIDUAL, found["x"], np.nan)
-
-
-def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return 1, cosines and sines at the phases, a column each, and their first and second derivatives by the phase."""
-    k = np.arange(1, count + 1)
-    angle = np.outer(phases, k)
-    cosine, sine, zero = np.cos(angle), np.sin(angle), np.zeros((len(phases), 1))
-    return (
-        np.hstack([zero + 1.0, cosine, sine]),
-        np.hstack([zero, -k * sine, k * cosine]),
-        np.hstack([zero, -(k**2) * cosine, -(k**2) * sine]),
-    )
-
-
-def _from_series(equation: Equation, timeline: Timeline, series: ca.Function) -> ca.Function:
-    """Return parameters -> states at the outputs, means and variances of a Fourier series of w."""
-    p, known = equation.symbols(ca.MX)
-    omega = _frequency(equation, known)
-    x = series(p)
-    count = (x.numel() - 1) // 2
-    basis, slope, _ = _basis(count, 2.0 * math.pi * timeline.output_fractions)
-    states = ca.horzcat(ca.mtimes(ca.DM(basis), x), omega * ca.mtimes(ca.DM(slope), x)).T
-    cosines, sines = x[1 : count + 1], x[count + 1 :]
-    means: list[Column] = [x[0]]
-    variances = [ca.sumsqr(x[1:]) / 2.0]
-    if equation.structure.damper:
-        k, c = known["stiffness"], known["damping"] * omega * ca.DM(np.arange(1, count + 1))
-        means.append(k * x[0])
-        variances.append((ca.sumsqr(k * cosines + c * sines) + ca.sumsqr(k * sines - c * cosines)) / 2.0)
-    return ca.Function("series", [p], [states, stacked(*means), stacked(*variances)], {"never_inline": True})
-
-
 MOST_STEPS: Final = 50_000
 """Steps of order 8 after which a share that has not settled is given up; they take some tenths of a second."""
 
-# Most and fewest wavelengths that one call integrates.
-_MOST_AT_ONCE: Final = 32
-_FEWEST_AT_ONCE: Final = 4
 # Limit on the wavelengths if no deviation decays or grows: more would show nothing new.
 _UNDAMPED: Final = 64
 # Most wavelengths over which a motion is averaged that does not repeat itself.
 _AVERAGED: Final = 256
-# Distance from the orbit, in half ranges of the orbit, within which linear theory certainly holds. Deviations that
-# change the character of the motion are of order one.
+# Distance from the orbit, in half ranges of the orbit, within which linear theory certainly holds; and within which it
+# is enough that the deviation shrinks. Deviations that change the character of the motion are of order one.
 _NEAR: Final = 1e-2
-# Within this distance it is enough that the deviation shrinks nearly as linear theory says ...
 _NEAR_ENOUGH: Final = 0.3
-# ... that is, to no more than this factor times the predicted deviation.
-_NEARLY: Final = 1.5
 # Longest period that is looked for [wavelengths].
 _LONGEST_PERIOD: Final = 32
 # Largest difference of states one period apart in a motion that repeats itself, in half ranges of the orbit. A largest
 # multiplier that differs from 1 by less counts as 1.
 _REPEATS: Final = 1e-6
-# Relative rounding of states, which a chaotic motion would amplify: states that differ by less are the same.
-_ROUNDING_OF_STATES: Final = 1e-13
-# Factor on the orbit's steps for the averages of another motion, which may be faster.
-_FINER_AVERAGES: Final = 2
 # A multiplier that exceeds 1 by less may be that of an undamped mount, rounded.
 _MARGINAL_MULTIPLIER = 1e-8
-# Smallest unit of distances, as a part of the steady deflection: without a wave the orbit is a point.
-_SMALLEST_UNIT: Final = 1e-9
 
 
 def which_motion(run: Run) -> tuple[tuple[complex, ...], Settled, tuple[str, ...]]:
@@ -323,139 +196,92 @@ def which_motion(run: Run) -> tuple[tuple[complex, ...], Settled, tuple[str, ...
     Args:
         run: numeric run of the orbit.
     """
-    path = _Path(run)
+    structure, numbers = Structure.of(run.scene), numbers_of(run.scene)
+    equation = equation_of(structure)
+    p, steps = ca.DM(equation.column(numbers, float(run.duration))), run.accuracy.steps or 1
+    orbit = np.array([run.deflection[0] - structure.start_deflection(numbers), run.scene.tow_speed - run.speed[0]])
     # Derivatives by the start state are less exact than the states, so they take twice the orbit's steps.
-    once = Timeline(1, 2 * path.steps)
-    found = np.linalg.eigvals(monodromy(path.equation, once)(path.orbit, path.p).full())
-    multipliers, largest = tuple(complex(value) for value in found), float(np.max(np.abs(found)))
-    warnings: tuple[str, ...] = ()
+    slopes = monodromy(equation, Timeline(1, 2 * steps))(orbit, p)
+    multipliers = tuple(complex(value) for value in np.linalg.eigvals(slopes.full()))
+    largest = max(map(abs, multipliers))
+    settled, warnings = _settled(run, equation, p, orbit, largest), []
     if largest > 1.0 + _MARGINAL_MULTIPLIER:
         grows = f"a deviation grows {largest:.4g} times in every wavelength, so no share stays on it"
-        warnings = (f"the orbit is unstable: {grows}",)
-    settled = _settled(path, largest)
-    return multipliers, settled, (*warnings, *_warnings(settled, largest))
+        warnings.append(f"the orbit is unstable: {grows}")
+    if not settled.orbit:
+        why = "" if largest > 1.0 + _REPEATS else ": nothing damps a deviation from the orbit"
+        if largest < 1.0 - _REPEATS:
+            why = f", although the orbit is stable: a small deviation shrinks to {largest:.4g} in every wavelength"
+        warnings.append(f"a share that starts from equilibrium {settled.text}{why}")
+    return multipliers, settled, tuple(warnings)
 
 
-def _settled(path: _Path, largest: float) -> Settled:
+def _settled(run: Run, equation: Equation, p: ca.DM, orbit: Array, largest: float) -> Settled:
     """Follow a share from equilibrium and return the motion in which it ends up.
 
     It is followed until it settles, for as many wavelengths as `MOST_STEPS` allow, and for 4 at least.
 
     Args:
-        path: the share.
-        largest: absolute value of the orbit's largest multiplier [-].
-    """
-    limit = MOST_STEPS // path.steps if abs(largest - 1.0) > _REPEATS else _UNDAMPED
-    stable, distances = largest < 1.0 - _REPEATS, [math.inf]
-    while True:
-        path.follow()
-        distance = path.distance
-        if not math.isfinite(distance):
-            return Settled(False, path.count, None, math.inf, path.count, math.inf, retreats=True)
-        near = stable and distance < _NEAR and distance <= distances[-1]
-        spent = path.count >= limit
-        distances.append(distance)
-        if near or (spent and stable and _shrinks(distances, largest ** (len(distances) // 2 * path.at_once))):
-            return Settled(True, path.count, 1, float(path.run.force_rms), 1, distance, retreats=False)
-        if period := path.period(largest):
-            return Settled(False, path.count, period, *path.last(period, distance))
-        if spent:
-            return Settled(None, path.count, None, *path.last(min(_AVERAGED, path.count // 2), distance))
-
-
-def _shrinks(distances: list[float], factor: float) -> bool:
-    """Return whether the distance is small and has nearly shrunk by a factor in the second half of the time."""
-    return distances[-1] < _NEAR_ENOUGH and distances[-1] < _NEARLY * factor * distances[len(distances) // 2]
-
-
-def _warnings(settled: Settled, largest: float) -> tuple[str, ...]:
-    """Return a warning unless a share from equilibrium comes to the orbit."""
-    if settled.orbit:
-        return ()
-    if largest < 1.0 - _REPEATS:
-        why = f", although the orbit is stable: a small deviation shrinks to {largest:.4g} in every wavelength"
-    else:
-        why = "" if largest > 1.0 + _REPEATS else ": nothing damps a deviation from the orbit"
-    return (f"a share that starts from equilibrium {settled.text}{why}",)
-
-
-class _Path:
-    """A share that is followed from equilibrium, as its states at the ends of wavelengths.
-
-    Attributes:
         run: the orbit.
         equation: the equation of motion.
-        numbers: the equation's parameters by name.
-        p: the same as a column, the period last.
-        steps: of the orbit.
-        unit: of distances in w and w': half ranges of the orbit.
+        p: its parameters, the period last.
         orbit: the orbit's state at time 0.
-        states: of the share, a row for each wavelength followed and one for the start.
+        largest: absolute value of its largest multiplier [-].
     """
+    steps, stable = run.accuracy.steps or 1, largest < 1.0 - _REPEATS
+    limit = MOST_STEPS // steps if abs(largest - 1.0) > _REPEATS else _UNDAMPED
+    at_once = max(4, min(32, MOST_STEPS // (4 * steps)))
+    follow, unit = _wavelengths(equation, steps, at_once), _half_ranges(run)
+    states, distances = np.zeros((1, 2)), [math.inf]
+    while True:
+        states = np.vstack([states, follow(states[-1], p).full().T])
+        count = len(states) - 1
+        distance = float(np.max(np.abs((states[-at_once // 2 :] - orbit) / unit)))
+        if not math.isfinite(distance):
+            return Settled(False, count, None, math.inf, count, math.inf, retreats=True)
+        spent, nearer = count >= limit, distance <= distances[-1]
+        shrinks = spent and distance < _NEAR_ENOUGH and distance < distances[len(distances) // 2]
+        if stable and ((nearer and distance < _NEAR) or shrinks):
+            return Settled(True, count, 1, float(run.force_rms), 1, distance, retreats=False)
+        distances.append(distance)
+        period = _period(states / unit, largest) if distance > _NEAR else None
+        if period or spent:
+            averaged = period or min(_AVERAGED, count // 2)
+            force_rms, retreats = _last(run, equation, p, states[-1 - averaged], averaged)
+            return Settled(False if period else None, count, period, force_rms, averaged, distance, retreats)
 
-    def __init__(self, run: Run) -> None:
-        """Begin at equilibrium."""
-        self.run, self.equation, self.numbers = run, equation_of(Structure.of(run.scene)), numbers_of(run.scene)
-        self.steps = run.accuracy.steps or 1
-        self.p = ca.DM(self.equation.column(self.numbers, float(run.duration)))
-        first = float(self.equation.structure.start_deflection(self.numbers))
-        w, rate = run.deflection - first, run.scene.tow_speed - run.speed
-        frequency = max(float(run.scene.wave_frequency), float(run.scene.natural_frequency))
-        range_of_w = max(float(np.ptp(w)) / 2.0, float(np.ptp(rate)) / 2.0 / frequency, _SMALLEST_UNIT * abs(first))
-        self.unit: Array = np.array([1.0, frequency]) * (range_of_w or 1.0)
-        self.orbit: Array = np.array([w[0], rate[0]])
-        self.states: Array = np.zeros((1, 2))
 
-    @property
-    def count(self) -> int:
-        """Number of wavelengths followed."""
-        return len(self.states) - 1
+def _half_ranges(run: Run) -> Array:
+    """Return the half ranges of the orbit's states, in which distances from it are measured, above zero."""
+    frequency = max(float(run.scene.wave_frequency), float(run.scene.natural_frequency))
+    least = 1e-9 * float(np.max(np.abs(run.deflection)))  # without a wave the orbit is a point
+    size = max(float(np.ptp(run.deflection)) / 2.0, float(np.ptp(run.speed)) / 2.0 / frequency, least) or 1.0
+    return np.array([1.0, frequency]) * size
 
-    @property
-    def at_once(self) -> int:
-        """Number of wavelengths that one call of `follow` integrates: at most a quarter of what `MOST_STEPS` allow."""
-        return max(_FEWEST_AT_ONCE, min(_MOST_AT_ONCE, MOST_STEPS // (4 * self.steps)))
 
-    @property
-    def distance(self) -> float:
-        """Largest distance from the orbit at the ends of the last wavelengths, half as many as one call integrates."""
-        return float(np.max(np.abs((self.states[-self.at_once // 2 :] - self.orbit) / self.unit)))
+def _period(states: Array, largest: float) -> int | None:
+    """Return the period [wavelengths] with which the last states, in half ranges, repeat themselves, if any.
 
-    def follow(self) -> None:
-        """Integrate some more wavelengths."""
-        ends = _wavelengths(self.equation, self.steps, self.at_once)(self.states[-1], self.p)
-        self.states = np.vstack([self.states, ends.full().T])
+    States near a slowly attracting orbit differ little too: by about (1 - multiplier) times their distance. States that
+    differ by less than rounding, which a chaotic motion would amplify, are the same.
+    """
+    least = max(_REPEATS * min(1.0, max(abs(1.0 - largest), _REPEATS)), 1e-13 * float(np.max(np.abs(states))))
+    for period in range(1, min(_LONGEST_PERIOD, (len(states) - 1) // 2) + 1):
+        if float(np.max(np.abs(states[-period:] - states[-2 * period : -period]))) < least:
+            return period
+    return None
 
-    def period(self, largest: float) -> int | None:
-        """Return the period [wavelengths] with which the last states repeat themselves away from the orbit, if any."""
-        distance = self.distance
-        # States near a slowly attracting orbit differ little too: by about (1 - multiplier) times their distance.
-        least = _REPEATS * min(1.0, max(distance, _NEAR)) * min(1.0, max(abs(1.0 - largest), _REPEATS))
-        scaled = self.states / self.unit
-        least = max(least, _ROUNDING_OF_STATES * float(np.max(np.abs(scaled))))
-        for period in range(1, min(_LONGEST_PERIOD, self.count // 2) + 1):
-            apart = np.abs(scaled[-period:] - scaled[-2 * period : -period])
-            if distance > _NEAR and float(np.max(apart)) < least:
-                return period
-        return None
 
-    def last(self, count: int, distance: float) -> tuple[float, int, float, bool]:
-        """Return the last attributes of `Settled`, from another integration of the last wavelengths.
+def _last(run: Run, equation: Equation, p: ca.DM, first: Array, count: int) -> tuple[float, bool]:
+    """Return the RMS of the mount force [N] over so many wavelengths from a state on, and whether the share retreats.
 
-        Args:
-            count: number of wavelengths.
-            distance: from the orbit, returned as it is.
-
-        Returns:
-            RMS of the mount force [N], number of wavelengths, distance, and whether the share retreats.
-        """
-        steps = count * _FINER_AVERAGES * self.steps
-        timeline = Timeline(steps, steps)
-        p = ca.vertcat(self.p[:-1], count * float(self.run.duration))
-        found = run_from(self.equation, timeline)(self.states[-1 - count], p)
-        states, means, variances = (np.asarray(result) for result in found)
-        _, force_rms, *_ = self.equation.structure.averages(self.numbers, means.ravel(), variances.ravel())
-        return float(force_rms), count, distance, bool(np.max(states[1]) > self.run.scene.tow_speed)
+    It takes twice the orbit's steps, for another motion may be faster.
+    """
+    steps = 2 * count * (run.accuracy.steps or 1)
+    whole = ca.vertcat(p[:-1], count * float(run.duration))
+    states, means, variances = (np.asarray(part) for part in run_from(equation, Timeline(steps, steps))(first, whole))
+    averages = equation.structure.averages(numbers_of(run.scene), means.ravel(), variances.ravel())
+    return float(averages[1]), bool(np.max(states[1]) > run.scene.tow_speed)
 
 
 @lru_cache(maxsize=32)

@@ -22,7 +22,7 @@ from plough_opt.core.errors import InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import as_number
 from plough_opt.core.plain_data import Array
 from plough_opt.motion import Run, simulate
-from plough_opt.motion.effects import HarmonicBalance, StickSlip
+from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Structure
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS, ORDER_8, Accuracy, adaptive, fixed_step
 from plough_opt.motion.scene import Scene
@@ -47,9 +47,6 @@ GRADIENT_TOLERANCES: Final = (1e-6, 1e-9)
 
 GRADIENT_FACTORS: Final = (0.5, 1.0, 2.0)
 """Multiples of the default number of steps for gradients."""
-
-HARMONICS: Final = (1, 3, 8, 16)
-"""Numbers of harmonics at which harmonic balance is measured in any case."""
 
 # Lower bound of the time of one explicit step [s]. Settings that cannot meet the allowance are left out by it.
 _ONE_STEP = 2e-6
@@ -536,26 +533,12 @@ def models(task: Task, motion: Reference | None, periodic: Reference | None) -> 
 
     contestants = [Contestant("model", "quasi-static", lambda _: _quasi_static(task), errors)]
     transient, orbit = task.scene.effects.orbit == "transient", periodic_orbit_of(task.scene)
-    if orbit is not None and not (transient and periodic is None):
+    if orbit is not None and transient and periodic is not None:
         around = replace(task, scene=orbit, duration=float(as_number(orbit.wave_period)))
         settings, always = settings_of(around, "dop853")
-
-        def stand_in(kind: Any) -> tuple[Use, Callable[[], Run]]:
-            scene = replace(orbit, effects=replace(orbit.effects, orbit=kind))
-            return prepared(replace(around, scene=scene), settings[-1])
-
-        balances = tuple(map(HarmonicBalance, range(1, HARMONICS[-1] + 1)))
-        chosen = tuple(count - 1 for count in task.some(HARMONICS))
-        contestants.append(Contestant("model", "linearised", lambda _: stand_in("linearised"), errors))
-        contestants.append(Contestant("model", "harmonic balance", stand_in, errors, balances, chosen, _counted))
-        if transient:
-            once = partial(prepared, around)
-            contestants.append(Contestant("model", "periodic orbit", once, errors, settings, always, text))
+        once = partial(prepared, around)
+        contestants.append(Contestant("model", "periodic orbit", once, errors, settings, always, text))
     return task.ranked(contestants, "lasting averages" if transient else "averages")
-
-
-def _counted(balance: HarmonicBalance) -> str:
-    return f"{balance.harmonics} harmonic{'s' * (balance.harmonics > 1)}"
 
 
 def _quasi_static(task: Task) -> Callable[[], Run]:

@@ -258,14 +258,10 @@ class Motion:
         """Compute the parameters and the start of a scene with numbers.
 
         Raises:
-            InputError: the scene is quasi-static, or approximates its periodic orbit.
+            InputError: the scene is quasi-static.
         """
         if not scene.effects.motion:
             raise InputError("a quasi-static scene has no motion to integrate")
-        if scene.effects.orbit not in ("transient", "periodic"):
-            raise InputError(
-                f"effects.orbit = '{scene.effects.orbit}' is only approximate: use 'periodic' for a reference"
-            )
         speed = LONGDOUBLE(scene.tow_speed)
         self.scene = replace(scene, stiffness=LONGDOUBLE(scene.stiffness), mass=LONGDOUBLE(scene.mass), tow_speed=speed)
         self.structure = Structure.of(scene)

@@ -461,7 +461,7 @@ def error_text(error: float) -> str:
 # Methods that studies of a motion have, each with the same style in every picture.
 _METHODS: Final = (
     AUTO, COMPILED, BARE, "dop853", "erk", "rosenbrock", "cvodes", "collocation", "idas", "rk", "quasi-static",
-    "linearised", "harmonic balance", "periodic orbit",
+    "periodic orbit",
 )  # fmt: skip
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
 # Ratio of the times at the ends of an axis -> digits to number on an axis that spans less.

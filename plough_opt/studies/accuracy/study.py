@@ -12,7 +12,7 @@ import platform
 import time
 import timeit
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from statistics import median
@@ -339,8 +339,7 @@ def study_accuracy(
     """Return error against time of every method and model that can simulate a scene.
 
     Args:
-        scene: scene with numbers. If its orbit is approximate, such as "linearised", all methods are measured against
-            the periodic orbit.
+        scene: scene with numbers.
         duration: simulated time [s]; None for a periodic orbit.
         wanted: relative error that the advice is for [-], from 1e-15 to 0.1.
         outputs: number of equal intervals between output times, at which mount forces are compared.
@@ -369,8 +368,6 @@ def study_accuracy(
     check_domain("time allowed to a method", plain_number("allowance", allowance), "s", above=0.0)
     whole_number("outputs", outputs, 1, MOST_OUTPUTS)
     duration = plain_number("duration", duration_of(scene, duration))
-    if scene.effects.orbit != "transient":
-        scene = replace(scene, effects=replace(scene.effects, orbit="periodic"))
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
     entries, floors, notes = _contests(task, notifier(progress), derivatives=derivatives)
     defaults = {MOTION: (AUTO, f"error {DEFAULT_ERROR:.0e}"), DERIVATIVES: (AUTO, "default")}

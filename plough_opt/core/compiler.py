@@ -1,32 +1,23 @@
-"""Compilation of C source into shared libraries by the system's compiler, cached in the user's cache folder.
+"""Compilation of C source into shared libraries by the system's compiler, kept in one private folder of the user.
 
-A library is code that runs with the user's rights. It is loaded from a folder only if nobody else could have put it
-there: file and folders belong to the user or to root, and others may not write to them, as ssh requires of a user's
-keys. A library ends with a digest of its name and content, which reveals one that is truncated, damaged or another's.
-
-A library that a compiler left incomplete would kill Python by a signal. So a process of its own loads each library
-once, right after its compilation and before it gets its digest, which takes a few hundredths of a second. A library
-from the cache needs no such trial: its digest proves that it is the file that passed it.
+A library is code that runs with the user's rights, so nobody else may be able to write where it is kept. It is renamed
+to its place once it is complete and has been loaded: processes share it, and a killed one leaves no half of it.
 """
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import ctypes
 import hashlib
 import os
 import platform
 import shlex
 import shutil
-import signal
 import stat
 import subprocess
-import sys
 import tempfile
-import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -44,36 +35,10 @@ Variant = tuple[tuple[str, ...], tuple[str, ...]]
 NOT_FOUND: Final = "no C compiler was found ($CC, cc, gcc, clang)"
 """Beginning of a message."""
 
-_FLAGS = ("-shared", "-fPIC")
 # Time limit [s] of a compilation. The largest designs take a minute on a busy machine.
 _TIMEOUT = 300.0
-# Time limit [s] of an answer that takes milliseconds on an idle machine.
-_ANSWER = 30.0
-_DIGEST_SIZE = hashlib.sha256().digest_size
-# Prefix of temporary folders; the number of the process follows.
-_PREFIX = "plough_opt-"
-# Age [s] from which a folder is no longer in use if there is no process of its number, not even in another container.
-_ABANDONED = 3600.0
-# Loads a library and its symbols.
-_TRIAL = """import ctypes, sys
-sys.tracebacklimit = 0
-library = ctypes.CDLL(sys.argv[1])
-[library[name] for name in sys.argv[2:]]"""
-# Most characters of a compiler's output in a message.
-_LONGEST_LINE = 160
-
 # Why the last library could not be compiled; "" if none failed.
 _failure = ""
-# Compilers that did not end within the time limit, which are not tried again, and the sentence about each.
-_hanging: dict[str, str] = {}
-
-
-class _CompilationFailed(Exception):
-    """The compiler failed; the message names it and quotes the first line of its output."""
-
-
-class _UnsafeFolder(OSError):
-    """Another user could put a library into a folder."""
 
 
 def find_compiler() -> tuple[str, ...] | None:
@@ -102,44 +67,47 @@ def interpretation_warning() -> str:
     return f"{compiler_problem()}: the model is interpreted, which takes longer"
 
 
-def library(source: str, variants: tuple[Variant, ...], symbols: Sequence[str] = ()) -> Path | None:
+def library(source: str, variants: tuple[Variant, ...]) -> Path | None:
     """Return the path of the library compiled from a C source; None if there is none: see `compiler_problem`.
-
-    The cache is ``$XDG_CACHE_HOME/plough_opt``, or ``~/.cache/plough_opt`` if that variable is not an absolute path. If
-    it is not writable or not safe, a temporary folder of this process is used instead. A library is moved to its place
-    only once complete, so processes can share it; another file in its place is replaced.
 
     Args:
         source: the C source.
         variants: flags and libraries to try, fastest first; the first that compiles and loads is used.
-        symbols: functions that the library must have.
     """
     global _failure
-    command = find_compiler()
-    if command is None:
-        _failure = NOT_FOUND
+    _failure = ""
+    if (command := find_compiler()) is None:
         return None
-    name = hashlib.sha256("\0".join((source, *_FLAGS, str(variants), _identity(command))).encode()).hexdigest()
-    failure = ""
-    for folder_of in (cache_folder, _temporary_folder):
-        if command[0] in _hanging:
-            failure = _hanging[command[0]]
-            break
-        try:
-            path = _private(folder_of()) / f"{name[:32]}.so"
-            if _is_intact(path):
-                ctypes.CDLL(str(path))
-            else:
-                _compile(path, source, command, variants, symbols)
-            return path
-        except _CompilationFailed as error:
-            failure = str(error)
-        except (OSError, RuntimeError) as error:  # `expanduser` raises RuntimeError
-            if isinstance(error, _UnsafeFolder):
-                warnings.warn(f"compiled code is not kept for other runs: {error}", stacklevel=2)
-            failure = failure or f"compiled code cannot be stored or loaded ({error})"
-    _failure = failure
-    return None
+    name = hashlib.sha256("\0".join((source, str(variants), _identity(command))).encode()).hexdigest()
+    try:
+        path = _private_folder() / f"{name[:32]}.so"
+        if not path.is_file():
+            with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
+                _first(source, command, variants, Path(scratch)).replace(path)
+        return path
+    except OSError as error:
+        _failure = f"compiled code cannot be made or kept ({error})"
+        return None
+
+
+def _first(source: str, command: tuple[str, ...], variants: tuple[Variant, ...], folder: Path) -> Path:
+    """Return the library of the first variant that can be compiled, and then be loaded on this system.
+
+    Raises:
+        OSError: there is none; the message is about the first variant.
+    """
+    problems = []
+    for number, (flags, libraries) in enumerate(variants):
+        compiled = folder / f"{number}.so"
+        problem = compile_library(source, (*command, *flags), compiled, libraries)
+        if problem is None:
+            try:
+                ctypes.CDLL(str(compiled))
+                return compiled
+            except OSError as error:
+                problem = str(error)
+        problems.append(problem)
+    raise OSError(f"the C compiler {command[0]} failed: {problems[0]}")
 
 
 def loaded(source: str, variants: tuple[Variant, ...], arguments: Mapping[str, Sequence[Any]]) -> ctypes.CDLL | None:
@@ -148,54 +116,20 @@ def loaded(source: str, variants: tuple[Variant, ...], arguments: Mapping[str, S
     Args:
         source: the C source.
         variants: as in `library`.
-        arguments: function that the library must have -> types of its arguments.
+        arguments: function that the library has -> types of its arguments.
     """
-    path = library(source, variants, tuple(arguments))
-    if path is None:
+    if (path := library(source, variants)) is None:
         return None
-    found = ctypes.CDLL(str(path))
+    opened = ctypes.CDLL(str(path))
     for name, types in arguments.items():
-        getattr(found, name).argtypes = types
-    return found
-
-
-def _compile(
-    path: Path, source: str, command: tuple[str, ...], variants: tuple[Variant, ...], symbols: Sequence[str]
-) -> None:
-    """Compile a library in a temporary folder and move it to its path.
-
-    Raises:
-        _CompilationFailed: no variant compiles.
-        OSError: the folder is not writable, or none of the libraries can be loaded from it.
-    """
-    _remove_abandoned(path.parent)
-    uncompiled, unloaded = [], []
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f"{_PREFIX}{os.getpid()}-") as scratch:
-        for number, (flags, libraries) in enumerate(variants):
-            compiled = Path(scratch) / f"{number}.so"
-            if (problem := compile_library(source, (*command, *flags), compiled, libraries)) is not None:
-                uncompiled.append(problem)
-                if command[0] in _hanging:
-                    break
-            # Loading fails if the C library lacks a function, or if the system forbids it in this folder.
-            elif (problem := _trial(compiled, symbols)) is not None:
-                unloaded.append(problem)
-            else:
-                content = compiled.read_bytes()
-                compiled.write_bytes(content + _digest(path, content))
-                compiled.chmod(stat.S_IRWXU)
-                compiled.replace(path)
-                return
-    if unloaded:
-        raise OSError(unloaded[-1])
-    raise _CompilationFailed(f"the C compiler {command[0]} failed ({uncompiled[0]})")
+        getattr(opened, name).argtypes = types
+    return opened
 
 
 def in_machine_code(functions: Sequence[ca.Function], variants: tuple[Variant, ...]) -> list[ca.Function] | None:
     """Return functions in machine code, or None if there is no library: see `library`."""
-    names = [function.name() for function in functions]
-    path = library(code_of("functions", functions), variants, names)
-    return None if path is None else [ca.external(name, str(path)) for name in names]
+    path = library(code_of("functions", functions), variants)
+    return None if path is None else [ca.external(function.name(), str(path)) for function in functions]
 
 
 def code_of(name: str, functions: Iterable[ca.Function], **options: Any) -> str:
@@ -218,161 +152,70 @@ def compile_library(source: str, command: Sequence[str], into: Path, libraries: 
     Returns:
         None, or the first line of the compiler's output.
     """
-    arguments = [*command, *_FLAGS, "-x", "c", "-", "-o", str(into), *libraries]
+    arguments = [*command, "-shared", "-fPIC", "-x", "c", "-", "-o", str(into), *libraries]
+    environment = os.environ | {"TMPDIR": str(into.parent)}
     try:
-        status, line = _run(arguments, source, _TIMEOUT, os.environ | {"TMPDIR": str(into.parent)})
+        done = subprocess.run(arguments, input=source.encode(), capture_output=True, timeout=_TIMEOUT, env=environment)
     except OSError as error:
         return str(error)
     except subprocess.TimeoutExpired:
-        return _note_hanging(command[0], _TIMEOUT)
-    if status == 0 and into.is_file():
+        return f"it did not end within {_TIMEOUT:g} s"
+    if done.returncode == 0 and into.is_file():
         return None
-    how = f"ended by signal {-status}" if status < 0 else f"exit status {status}" if status else "it wrote no library"
-    return line or how
-
-
-def _note_hanging(compiler: str, seconds: float) -> str:
-    problem = f"it did not end within {seconds:g} s"
-    _hanging[compiler] = f"the C compiler {compiler} failed ({problem})"
-    return problem
-
-
-def _run(
-    arguments: Sequence[str], text: str, seconds: float, environment: Mapping[str, str] | None = None
-) -> tuple[int, str]:
-    """Run a program, and return its exit status and the first line of its output.
-
-    A program that takes too long, or is interrupted by Ctrl-C, is killed with all processes that it has started.
-
-    Raises:
-        OSError: it cannot be started.
-        subprocess.TimeoutExpired: it takes too long.
-    """
-    pipe: Final = subprocess.PIPE
-    with subprocess.Popen(
-        arguments, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, env=environment, start_new_session=True
-    ) as process:
-        try:
-            output, _ = process.communicate(text.encode(), timeout=seconds)
-        except BaseException:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL) if hasattr(os, "killpg") else process.kill()
-            raise
-    lines = output.decode(errors="backslashreplace").strip().splitlines()
-    return process.returncode, short(lines[0], _LONGEST_LINE) if lines else ""
-
-
-def _trial(path: Path, symbols: Sequence[str]) -> str | None:
-    """Load a library in a process of its own; return None, or why that fails."""
-    if not sys.executable:  # Python within another program
-        return None
-    try:
-        # -I, because the current folder or $PYTHONPATH may hold modules of any name; -S, because no package is needed.
-        status, line = _run([sys.executable, "-I", "-S", "-c", _TRIAL, str(path), *symbols], "", _ANSWER)
-    except subprocess.TimeoutExpired:
-        return f"loading it takes more than {_ANSWER:g} s"
-    return None if status == 0 else f"the compiled library cannot be loaded: {line or f'exit status {status}'}"
-
-
-def _is_intact(path: Path) -> bool:
-    """Return whether a file is a library that this user, or root, has stored under this name."""
-    try:
-        status = path.lstat()
-        if not (stat.S_ISREG(status.st_mode) and _is_safe(status)):
-            return False
-        content = path.read_bytes()
-    except OSError:
-        return False
-    return _digest(path, content[:-_DIGEST_SIZE]) == content[-_DIGEST_SIZE:]
-
-
-def _digest(path: Path, content: bytes) -> bytes:
-    return hashlib.sha256(path.name.encode() + content).digest()
-
-
-def _is_safe(status: os.stat_result) -> bool:
-    """Return whether only root and this user can change a file, or replace what a folder holds."""
-    if not hasattr(os, "geteuid"):
-        return True
-    sticky = stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX
-    shared = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not sticky
-    return status.st_uid in (0, os.geteuid()) and not shared
-
-
-def _private(folder: Path) -> Path:
-    """Create a folder that only this user can read, unless it exists; return its path without links.
-
-    Raises:
-        OSError: it cannot be created.
-        _UnsafeFolder: another user could replace it, or what it holds.
-    """
-    for missing in reversed([part for part in (folder, *folder.parents) if not part.exists()]):
-        missing.mkdir(stat.S_IRWXU, exist_ok=True)
-    place = folder.resolve()
-    for part in (place, *place.parents):
-        if not _is_safe(part.stat()):
-            raise _UnsafeFolder(f"'{part}' belongs to another user, or others can write to it (chmod go-w '{part}')")
-    return place
+    lines = (done.stderr + done.stdout).decode(errors="backslashreplace").strip().splitlines()
+    return short(lines[0], 160) if lines else f"it wrote no library (exit status {done.returncode})"
 
 
 def cache_folder() -> Path:
-    """Return the folder of the user's libraries.
+    """Return the folder of the user's libraries: ``$XDG_CACHE_HOME/plough_opt``, or ``~/.cache/plough_opt``.
 
     Raises:
         OSError: the home folder is not an absolute path.
         RuntimeError: the user has no home folder.
     """
     chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    folder = chosen if chosen.is_absolute() else Path("~/.cache").expanduser()
+    folder = chosen if chosen.is_absolute() else Path.home() / ".cache"
     if not folder.is_absolute():
-        raise NotADirectoryError(f"the home folder '{folder.parent}' is not an absolute path")
+        raise NotADirectoryError(f"the home folder '{Path.home()}' is not an absolute path")
     return folder / "plough_opt"
 
 
+def _private_folder() -> Path:
+    """Return the cache folder, or if it cannot be used a temporary one, which this process removes at its end."""
+    try:
+        folder = cache_folder()
+        folder.mkdir(stat.S_IRWXU, parents=True, exist_ok=True)
+        status = folder.stat()
+        if hasattr(os, "geteuid") and (status.st_uid != os.geteuid() or status.st_mode & (stat.S_IRWXG | stat.S_IRWXO)):
+            raise PermissionError(f"'{folder}' is not private: chmod 700 '{folder}', or remove it")
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except (OSError, RuntimeError, ValueError) as error:
+        return _temporary_folder(str(error))
+
+
 @lru_cache(maxsize=1)
-def _temporary_folder() -> Path:
-    """Return a folder that is removed when this process ends."""
-    process, place = os.getpid(), Path(tempfile.gettempdir())
-    _remove_abandoned(place)
-    folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{process}-", dir=place))
-
-    def remove() -> None:
-        if os.getpid() == process:  # not in a forked child
-            shutil.rmtree(folder, ignore_errors=True)
-
-    atexit.register(remove)
-    return folder
+def _temporary_folder(why: str) -> Path:
+    warnings.warn(f"compiled code is not kept for other runs: {why}", stacklevel=4)
+    _temporary.append(tempfile.TemporaryDirectory(prefix="plough_opt-"))
+    return Path(_temporary[-1].name)
 
 
-def _remove_abandoned(place: Path) -> None:
-    """Remove the temporary folders of processes that were killed."""
-    for folder in place.glob(f"{_PREFIX}[0-9]*-*"):
-        # The folder may belong to another user or be removed meanwhile.
-        with contextlib.suppress(OSError, ValueError, OverflowError):
-            if time.time() - folder.lstat().st_mtime > _ABANDONED:
-                try:
-                    os.kill(int(folder.name.split("-")[1]), 0)
-                except ProcessLookupError:
-                    shutil.rmtree(folder)
+# Folders that are removed when this process ends.
+_temporary: list[tempfile.TemporaryDirectory[str]] = []
 
 
 @lru_cache(maxsize=4)
 def _identity(command: tuple[str, ...]) -> str:
     """Return a text that identifies compiler and processor, on which a compiled library depends besides its source."""
-    try:
-        _, version = _run([*command, "--version"], "", _ANSWER)
-    except OSError:
-        version = ""
-    except subprocess.TimeoutExpired:
-        version = _note_hanging(command[0], _ANSWER)
-    try:
+    texts = [*command, platform.system(), platform.release(), platform.machine(), *platform.libc_ver()]
+    with suppress(OSError, subprocess.TimeoutExpired):  # the compilation reports it
+        done = subprocess.run([*command, "--version"], capture_output=True, timeout=_TIMEOUT)
+        texts.append(done.stdout.decode(errors="backslashreplace"))
+    with suppress(OSError):  # of systems other than Linux
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    processor = [line for line in lines if line.startswith(("flags", "model", "Features", "CPU part"))]
-    # platform.platform() would start another process to identify the processor.
-    system = platform.system(), platform.release(), platform.machine(), *platform.libc_ver()
-    return "\n".join((*command, version, *system, *sorted(set(processor))))
+        texts += sorted({line for line in lines if line.startswith(("flags", "model", "Features", "CPU part"))})
+    return "\n".join(texts)
 
 
 Phase = tuple[ca.Function, int]

@@ -16,7 +16,7 @@ PIP     = $(BIN)/uv pip install --quiet --python $(BIN)/python
 
 # At least one test file for every dependency, and quick ones otherwise.
 FAST   := $(addprefix tests/,problem_file cli export study calibration/test_linear.py design/test_design_solve.py \
-          motion/test_simulate.py uncertainty/test_measures.py test_layout.py test_forces.py \
+          motion/test_simulate.py uncertainty/test_distributions.py test_layout.py test_forces.py \
           test_component.py test_plots.py test_results.py test_source_equations.py)
 
 # Without bytecode, as in some containers, every process compiles its libraries anew, which trebles the time of imports.

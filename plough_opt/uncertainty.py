@@ -1,4 +1,4 @@
-"""Designs for uncertain soil: distributions, robust measures over common samples, verification on fresh samples."""
+"""Designs for uncertain soil: distributions, mean and spread over common soils, verification on fresh soils."""
 
 from plough_opt.studies.uncertainty import *  # noqa: F403
 from plough_opt.studies.uncertainty import __all__ as __all__

@@ -136,7 +136,7 @@ PAGES = {
         shorter={"points=12": "points=7, search='near'", "(10e3, 20e3)": "(20e3,)"},
         briefly=few_points,
     ),
-    "uncertain_soil": Page(("radius, probability of at least 0.15", "variance of draft"), least="import"),
+    "uncertain_soil": Page(("radius, probability of at least 0.15 m",), least="import"),
     "web_page": Page(writes=("out/r1.mjs",), briefly=short_motion),
 }
 
@@ -258,7 +258,7 @@ LIMITS = {
     ),
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Studies and runs": (
-        question.MOST_VALUES, question.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1],
+        question.MOST_VALUES, question.MOST_SAMPLES, distribution.MOST_SAMPLES, uncertain.COUNTS["fresh"][1],
         assembly._MOST_POINTS, effort._MOST_ACCEPTED, medium._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
     "Phase of a motion": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),

@@ -22,8 +22,7 @@ import plough_opt as po
 from plough_opt.app.plots import plot_designs
 from plough_opt.core.expressions import exp
 from plough_opt.studies.calibration import model, quality
-from plough_opt.studies.uncertainty import distribution, robust
-from plough_opt.studies.uncertainty import result as uncertain
+from plough_opt.studies.uncertainty import robust
 
 pandas = pytest.importorskip("pandas")
 
@@ -269,8 +268,7 @@ def test_folders_and_missing_files_are_refused(tmp_path):
 
 
 HOLDERS = (
-    model.Measurements, quality.CrossValidation, distribution.SoilSamples, distribution.ResponseValues,
-    uncertain.SobolIndices, robust.Verification,
+    model.Measurements, quality.CrossValidation, robust.Verification,
 )  # fmt: skip
 
 

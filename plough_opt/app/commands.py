@@ -362,7 +362,7 @@ def _best(problem: Problem, *, bought: bool) -> Scene:
             return problem.scene(best.bought.variables)
         from plough_opt.problem_file.uncertain import optimise_robust  # scipy.stats is slow to import
 
-        return optimise_robust(problem, notify).run.scene
+        return problem.scene(optimise_robust(problem, notify).best.variables)
 
 
 # A relative difference below this is rounding.

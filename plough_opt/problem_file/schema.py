@@ -272,8 +272,6 @@ class TermTable(Table):
     """amount that counts as 1 in the objective"""
     measure: str | None = None
     """measure over an uncertain soil"""
-    width: Written | None = None
-    """length over which the measure is smoothed"""
 
 
 class LimitTable(Table):
@@ -287,8 +285,6 @@ class LimitTable(Table):
     """measure over an uncertain soil"""
     probability: float | None = None
     """fraction of the soils in which the limit holds"""
-    width: Written | None = None
-    """length over which the measure is smoothed"""
 
     @property
     def sides(self) -> dict[str, str | float]:

@@ -153,7 +153,7 @@ def _classes():
         StrengthWave Wedge""",
     )
     return {
-        **_group("", [*simple, po.uncertainty.Marginal],
+        **_group("", simple,
                  soil=SOIL, share=WEDGE, effects=STEADY, stiffness=5e4, mass=45.0, damping=300.0, tow_speed=2.0,
                  angle=0.5, half_angle=0.2, chisel_angle=0.26, height=0.25, width=0.1, density=1400.0,
                  density_ratio=0.8, cohesion=2e4, friction_angle=0.5, tool_friction=0.5, youngs_modulus=2e7,
@@ -182,7 +182,6 @@ def _classes():
 def _functions():
     """Return name -> function, with its required arguments and those that keep it fast."""
     fitted_to = {"given": SCENE, "data": measured(), "unknown": {"soil.cohesion": (1e3, 8e4)}, "starts": 1}
-    measures = _of(uncertainty, "cvar expected worst mean_plus quantile probability standard_deviation")
     return {
         "cone_index": (po.cone_index, {"soil": SOIL}),
         "read_penetrometer": (po.read_penetrometer, {"path": "none.csv", "depth": (0.1, 0.3)}),
@@ -198,8 +197,7 @@ def _functions():
         "refine": (po.refine, {"quantity": lambda n: 1.0 / n, "sizes": [1, 2, 4]}),
         "simulate": (po.simulate, {"scene": SCENE, "duration": 1.0, "outputs": 40}),
         **_group("plots.", _of(po.plots, "plot_share plot_run plot_optimum"), scene=SCENE, run=run(), best=optimum()),
-        **_group("uncertainty.", measures, values=SAMPLES, level=0.5, width=0.1, kappa=1.0, at_least=1.5),
-        "uncertainty.sobol_indices": (uncertainty.sobol_indices, {"robust": robust(), "at": {}, "samples": 8}),
+        **_group("uncertainty.", _of(uncertainty, "expected standard_deviation"), values=SAMPLES),
         "uncertainty.verify": (uncertainty.verify, {"robust": robust(), "at": {}, "samples": 128}),
         "trade_off": (po.trade_off, {"design": design()[0], "first": design()[1], "second": design()[2], "points": 5,
                                      "search": "local"}),
@@ -212,9 +210,8 @@ def _functions():
 
 def _methods():
     """Return name -> method of an existing object, with its required arguments."""
-    fit_, best, traded, uncertain, samples = fit(), optimum(), front(), robust(), field().sample(8)
+    fit_, best, traded, uncertain = fit(), optimum(), front(), robust()
     reach, half = {"name": "reach"}, {"number": 1, "of": 1, "by": 0}
-    normal = po.uncertainty.Marginal(stats.norm(0.0, 1.0))
     declared = {
         "variable": {"name": "a", "guess": 0.5, "lower": 0.1, "upper": 1.0},
         "parameter": {"name": "a", "value": 0.5},
@@ -239,23 +236,17 @@ def _methods():
         **_group("Problem.", _of(problem(), "design component"), inputs=["share.height"], outputs=["mean_draft"]),
         "Range.at": (po.Range(1.0, 2.0, 3).at, {"fraction": 0.5}),
         "Refinement.size_for": (refined().size_for, {"error": 0.3}),
-        **_group("Robust.", _of(uncertain, "expected mean_plus cvar worst every probability values"), **reach, at={},
-                 kappa=1.0, level=0.9, width=0.01, at_least=0.1),
+        **_group("Robust.", _of(uncertain, "expected mean_plus values"), **reach, at={}, kappa=1.0,
+                 properties=[[1.5e4, 1350.0]]),
         "Robust.require_probability": (
             lambda design, **a: uncertain.require_probability(po.Design() if design is FRESH else design, **a),
             reach | {"design": FRESH, "requirement": "a", "probability": 0.9, "at_least": 0.1, "at_most": None,
-                     "width": 0.01, "unit": "m"}),
-        "Robust.bound_from_above": (lambda **a: uncertain.bound_from_above(po.Design(), **a),
-                                    reach | {"lower": 0.0, "upper": 1.0, "guess": 0.5, "unit": "m"}),
+                     "unit": "m"}),
         "Robust[]": (uncertain.__getitem__, reach),
         "Soil.with_density_profile": (
             lambda density, width, order=8: SOIL.with_density_profile(density, width, order=order),
             {"density": lambda r, w: 1400.0 + 0.0 * r * w, "width": 0.15}),
-        **_group("SoilDistribution.", _of(field(), "sample draw corners at"), count=8, seed=0, part=0.9,
-                 uniforms=[[0.5, 0.5]]),
-        **_group("SoilSamples.", _of(samples, "property each"), name="cohesion",
-                 response=lambda soil: {"a": soil.cohesion}),
-        **_group("Marginal.", _of(normal, "quantile cdf"), probability=0.5, value=0.5),
+        **_group("SoilDistribution.", _of(field(), "sample values"), count=8, seed=0),
         "RandomStrength.density": (po.RandomStrength(0.2, 0.3).density, {"wave_number": 4.0}),
         "Sweep.load": (po.Sweep.load, {"path": "none.db"}),
         **_group("TradeOff.", _of(traded, "rate cost in_words hypervolume"), **half),

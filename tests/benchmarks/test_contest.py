@@ -484,8 +484,8 @@ def _robust(count):
         return {"draft": run.mean_draft / 1e3, "rms": run.force_rms / 1e3, "radius": scene.loosened_radius}
 
     robust = po.Robust(field, response, samples=count)
-    d.minimise(robust.cvar("draft", 0.9, width=0.1) + robust.mean_plus("rms", 2.0))
-    robust.require_probability(d, "radius", "radius", 0.95, at_least=0.12, width=0.01)
+    d.minimise(robust.mean_plus("draft", 1.755) + robust.mean_plus("rms", 2.0))
+    robust.require_probability(d, "radius", "radius", 0.95, at_least=0.12)
     return d.solve(search="local")
 
 

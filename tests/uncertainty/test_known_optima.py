@@ -20,10 +20,8 @@ from scipy import stats
 
 import plough_opt as po
 from plough_opt.design.model.program import Program
-from plough_opt.design.search import effort
 from plough_opt.problem_file import uncertain
-from plough_opt.problem_file.uncertain import distribution_of, measure_of, optimise_robust, uncertain_of
-from plough_opt.studies.uncertainty import measures, robust
+from plough_opt.problem_file.uncertain import distribution_of, measure_of, optimise_robust
 from plough_opt.studies.uncertainty.result import RobustOptimum
 
 # --- robust optima with known closed forms, or found by hand on a grid ---
@@ -36,8 +34,8 @@ FIELD = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.norm(MEAN, 
 M, S = MEAN / 1e4, STD / 1e4
 
 
-def _numbers(samples):
-    return samples.property("cohesion") / 1e4
+def _numbers(robust):
+    return FIELD.values(robust.samples, seed=robust.seed)[:, 0] / 1e4
 
 
 @pytest.mark.parametrize("kappa", [0.0, 1.0, 2.5])
@@ -47,57 +45,31 @@ def test_mean_plus_standard_deviations_of_a_linear_loss(kappa):
     robust = po.Robust(FIELD, lambda soil: {"loss": x * soil.cohesion / 1e4 + x**2 / 2}, samples=256, seed=3)
     d.minimise(robust.mean_plus("loss", kappa))
     best = d.solve(search="near")
-    own = _numbers(robust.samples)
+    own = _numbers(robust)
     # Where the loss falls with theta its spread is -x std.
     assert best.variables["x"] == pytest.approx(-(own.mean() - kappa * own.std()), abs=1e-8)
     # 256 points of a Sobol sequence.
     assert best.variables["x"] == pytest.approx(-(M - kappa * S), abs=5e-3)
 
 
-@pytest.mark.parametrize("probability", [pytest.param(0.8, marks=pytest.mark.slow), 0.95])
+@pytest.mark.parametrize("probability", [0.3, 0.8, 0.95])
 def test_chance_constraint_on_a_normal_variable(probability):
     """The least stock that suffices with a probability is mean + z std."""
-    width, found = 0.5 * S, []
-    # A probability of 0 has no slope, but its quantile has.
-    for guess, by_quantile in ((2.6, False), (0.0, True)):
-        d, x = design(x=(guess, -10.0, 10.0))
-        robust = po.Robust(FIELD, lambda soil, x=x: {"missing": soil.cohesion / 1e4 - x}, samples=128, seed=3)
-        if by_quantile:
-            robust.require_probability(d, "enough", "missing", probability, at_most=0.0, width=width)
-        else:
-            d.require("enough", robust.probability("missing", at_most=0.0, width=width), at_least=probability)
-        d.minimise(x)
-        best = d.solve(search="near")
-        found.append(best.variables["x"])
-    assert found[0] == pytest.approx(found[1], abs=1e-9)
-    z = stats.norm.ppf(probability)
-    # The width acts as a further variance of width^2/9, to second order.
-    assert best.variables["x"] == pytest.approx(M + z * math.hypot(S, width / 3.0), abs=2e-2)
-    assert best.variables["x"] == pytest.approx(measures.quantile(_numbers(robust.samples), probability, width=width))
-    check = po.uncertainty.verify(robust, best, samples=4096, seed=9)["missing", "probability"]
-    assert check.seen == pytest.approx(probability, abs=1e-9)
-    # What the distribution itself gives at the optimum lies within the interval of the fresh samples.
+    d, x = design(x=(0.0, -10.0, 10.0))
+    robust = po.Robust(FIELD, lambda soil: {"missing": soil.cohesion / 1e4 - x}, samples=128, seed=3)
+    robust.require_probability(d, "enough", "missing", probability, at_most=0.0)
+    d.minimise(x)
+    best = d.solve(search="near")
+    z, own = stats.norm.ppf(probability), _numbers(robust)
+    assert best.variables["x"] == pytest.approx(own.mean() + z * own.std(), abs=1e-8)
+    # 128 points of a Sobol sequence.
+    assert best.variables["x"] == pytest.approx(M + z * S, abs=1e-2)
+    (check,) = po.uncertainty.verify(robust, best, samples=4096, seed=9).checks
+    # What the distribution itself gives at the optimum lies within the interval of the fresh soils.
     assert check.low <= stats.norm.cdf((best.variables["x"] - M) / S) <= check.high
 
 
-def test_smoothed_worst_case_over_a_set():
-    """Over the corners of a box the same optimum, by symmetry whatever the width."""
-    d, x = design(x=(1.0, -10.0, 10.0))
-    corners, unit = FIELD.corners(0.9), d.parameter("unit", 1e4)
-    robust = po.Robust(FIELD, lambda soil: {"square": (x - soil.cohesion / unit) ** 2}, samples=corners)
-    d.minimise(robust.worst("square", width=0.1))
-    best = d.solve(search="near")
-    low, high = _numbers(corners)
-    assert best.variables["x"] == pytest.approx((low + high) / 2, abs=1e-8)
-    rounding = best.objective - (high - low) ** 2 / 4
-    assert 0.0 < rounding <= 2 * 35 / 256 * 0.1
-    check = po.uncertainty.verify(robust, best, samples=4000, seed=1)["square", "largest"]
-    # Nine tenths of the distribution lie within the box, whose worst the rounding lifts a little.
-    assert check.worse == pytest.approx(0.1 * 4000, abs=90)
-    assert not check.confirmed
-
-
-# --- searched over all variables, and smoothed by the spread of the results ----------------------------------
+# --- searched over all variables ----------------------------------
 
 
 GRID = np.linspace(0.0, 1.0, 20_001)
@@ -110,9 +82,9 @@ def _valleys(x, theta):
     return 2.0 - 1.2 * exp(-(((moved - 0.25) / 0.01) ** 2)) - exp(-(((moved - 0.75) / 0.15) ** 2))
 
 
-def _by_hand(samples):
-    """Return the losses on a grid of designs, a row each, over samples."""
-    return _valleys(GRID[:, None], _numbers(samples))
+def _by_hand(robust):
+    """Return the losses on a grid of designs, a row each, over soils."""
+    return _valleys(GRID[:, None], _numbers(robust))
 
 
 @pytest.mark.parametrize("guess", [0.25, 0.5, 0.99])
@@ -120,22 +92,10 @@ def test_the_best_over_samples_is_found_from_the_other_valley(guess):
     d, x = design(x=(guess, 0.0, 1.0))
     robust = po.Robust(FIELD, lambda soil: {"loss": _valleys(x, soil.cohesion / 1e4)}, samples=32, seed=2)
     d.minimise(robust.expected("loss"))
-    best, means = d.solve(), _by_hand(robust.samples).mean(axis=1)
+    best, means = d.solve(), _by_hand(robust).mean(axis=1)
     # Beside a minimum the grid is off by half its curvature times half a position's square, some 1e-8.
     assert best.objective == pytest.approx(means.min(), abs=1e-7)
     assert best.variables["x"] == pytest.approx(GRID[means.argmin()], abs=1e-4)
-
-
-def test_the_sharp_worst_case_is_searched_without_its_bound():
-    d, x = design(x=(0.25, 0.0, 1.0))
-    robust = po.Robust(FIELD, lambda soil: {"loss": _valleys(x, soil.cohesion / 1e4)}, samples=16, seed=2)
-    d.minimise(robust.bound_from_above(d, "loss", lower=-50.0, upper=50.0))
-    best, least = d.solve(), _by_hand(robust.samples).max(axis=1).min()
-    assert best.search.variables == ("x",)
-    losses = _valleys(best.variables["x"], _numbers(robust.samples))
-    assert best.objective == pytest.approx(losses.max(), rel=1e-8)
-    # At the corner of a maximum the grid is off by its slope times half a position.
-    assert least - 1e-3 <= best.objective <= least + 1e-9
 
 
 UNIFORM_FIELD = po.SoilDistribution(
@@ -161,15 +121,15 @@ def _path(count):
         return {"draft": runs[-1].mean_draft / 1e3, "rms": runs[-1].force_rms / 1e3, "radius": scene.loosened_radius}
 
     robust = po.Robust(UNIFORM_FIELD, response, samples=count, seed=1)
-    other = po.simulate(replace(runs[0].scene, effects=po.Effects(damping=300.0)), 0.5, accuracy=FIXED)
-    d.minimise(robust.cvar("draft", 0.7, width=0.3) + robust.mean_plus("rms", 2.0) + other.mean_draft / 1e3)
-    robust.require_probability(d, "radius", "radius", 0.9, at_least=0.1, width=0.01)
-    d.require("deflection", runs[1].deflection, at_most=0.3)
+    other = replace(runs[0].scene, soil=UNIFORM_FIELD.soil, effects=po.Effects(damping=300.0))
+    other = po.simulate(other, 0.5, accuracy=FIXED)
+    d.minimise(robust.mean_plus("draft", 1.0) + robust.mean_plus("rms", 2.0) + other.mean_draft / 1e3)
+    robust.require_probability(d, "radius", "radius", 0.9, at_least=0.1)
+    d.require("deflection", other.deflection, at_most=0.3)
     return _program(d)
 
 
 def test_derivatives_against_differences():
-    # The measures' third derivatives jump where a sample enters a width: differences lose digits there.
     check_derivatives(_path(6).built.nlp, np.array([0.61, 0.43, 0.37]), np.zeros(0), 1e-7, 1e-6)
 
 
@@ -185,11 +145,10 @@ TEXT = FILE.read_text(encoding="utf-8")
 # A height is chosen in eight soils, without motion, and every measure is used.
 QUICK = (
     "uncertain.samples=8", "uncertain.fresh=300", "effects={motion=false}", 'share.wedge_angle="39 deg"',
-    'scene.stiffness="60 kN/m"', "minimise={mean_draft={per='1 kN', measure='cvar 0.9', width='100 N'}}",
+    'scene.stiffness="60 kN/m"', "minimise={mean_draft={per='1 kN', measure='mean + 1 std'}}",
     "require.specific_draft={at_most='1 MPa', measure='expected'}",
     "require.cone_index={at_least='1 Pa', measure='mean - 1.5 std'}",
-    "require.tow_power={at_least='1 W', measure='cvar 0.8', width='10 W'}",
-    "require.added_mass={at_most='1000 kg', measure='worst', width='1 kg'}",
+    "require.tow_power={at_least='1 W', measure='nominal'}", "require.added_mass={at_most='1000 kg'}",
 )  # fmt: skip
 SET = [word for change in QUICK for word in ("--set", change)]
 
@@ -233,77 +192,66 @@ def test_the_command_saves_both_optima_and_every_check(command, tmp_path):
     assert RobustOptimum.load(tmp_path / "found.json").to_json() == command.printed.rstrip()
     saved = json.loads(command.printed)
     assert saved["kind"] == "robust optimum"
-    assert {check["result"]: check["text"] for check in saved["checks"]} == {
-        "mean_draft": "mean of the largest 10 %", "loosened_radius": "probability of at least 0.15",
-        "mean_deflection": "probability of at most 0.1", "specific_draft": "mean",
-        "cone_index": "mean - 1.5 standard deviations", "tow_power": "mean of the smallest 20 %",
-        "added_mass": "largest of the samples",
+    assert {check["result"]: check["text"] for check in saved["fresh"]["checks"]} == {
+        "mean_draft": "mean + 1 standard deviations", "loosened_radius": "probability of at least 0.15 m",
+        "mean_deflection": "probability of at most 0.1 m", "specific_draft": "mean",
+        "cone_index": "mean - 1.5 standard deviations", "added_mass": "probability of at most 1000 kg",
     }  # fmt: skip
-    assert saved["indices"]["mean_draft"]["names"] == ["cohesion", "friction_angle given cohesion", "density_ratio"]
-
-
-def test_without_time_only_the_best_optimum_gets_its_own_widths(monkeypatch):
-    class Late(effort.TimeLimit):
-        def passed(self, part):
-            return "own widths" in part
-
-    monkeypatch.setattr(robust, "TimeLimit", Late)
-    monkeypatch.setattr(robust, "_CAN_WIN", 10.0)  # every local optimum might win
-    out = printed("optimise", FILE, "--set", "uncertain.samples=8", "--set", "uncertain.fresh=100")
-    rest = len(re.findall("branch", out)) - 1
-    assert rest >= 1
-    assert f"left out solving {rest} local optima again with their own widths" in " ".join(out.split())
 
 
 def test_a_part_is_that_of_the_robust_design(found, monkeypatch, tmp_path):
     monkeypatch.setattr(uncertain, "optimise_robust", lambda *_: found)
     printed("export", FILE, *SET, "--to", "stl", "--output", tmp_path / "a.stl")
     volume = trimesh.load_mesh(tmp_path / "a.stl").volume
-    assert volume == pytest.approx(1e9 * found.run.scene.share.mesh().volume, rel=1e-6)  # in mm, single precision
+    assert volume == pytest.approx(1e9 * found.best.run.scene.share.mesh().volume, rel=1e-6)  # in mm, single precision
 
 
-def test_tables_show_the_soil_both_designs_and_the_fresh_samples(found):
-    check = found.fresh["loosened_radius", "probability"]
+def test_tables_show_the_soil_both_designs_and_the_fresh_soils(found):
+    check = _check(found.fresh)
     interval = f" {100.0 * check.low:.2f} % to {100.0 * check.high:.2f} % "
-    words = ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", interval, "Sobol indices", "8 samples")
-    assert all(text in str(found) for text in ("loosened_radius, probability of at least 0.15 m: ", *words))
-    # With a second optimum, results that do not vary, and the one check that both designs stand.
+    assert all(text in str(found) for text in ("Uncertain soil", "Robust and nominal design", interval, "8 soils"))
+    # With a second optimum, and the one check that both designs stand.
     (one,) = found.best.local_optima
     best = replace(found.best, local_optima=(one, replace(one, objective=7.654321)))
     confirmed = [replace(own, checks=own.checks[:1]) for own in (found.fresh, found.nominal_fresh)]
-    other = str(RobustOptimum(best, found.run, found.nominal, found.robust, *confirmed, {}))
+    other = str(replace(found, best=best, fresh=confirmed[0], nominal_fresh=confirmed[1]))
     assert re.search(rf"All robust optima found\n.*\n.* {one.objective:.6g} .* m\n.* 7\.65432 .* m\n", other)
-    assert ("In the robust design fresh samples confirm every measure." in other, "Sobol" in other) == (True, False)
+    assert "In the robust design fresh soils confirm every measure." in other
+
+
+def _check(verification, result="loosened_radius"):
+    return next(check for check in verification.checks if check.result == result)
 
 
 def test_the_optimum_follows_from_the_samples(found):
-    """The radius goes with the height alone, so the robust height follows from the samples' quantile."""
-    height = found.best.variables["share.height"]
-    radii = found.robust.values({"share.height": 1.0})["loosened_radius"]
-    (width,) = (requested.width for requested in found.robust.requested if requested.result == "loosened_radius")
-    # The width belongs to this design, some per cent wider than at the nominal one; it is settled to 2 %.
-    assert width == pytest.approx(0.5 * np.std(radii) * height, rel=0.02)
-    assert width > 1.02 * 0.5 * np.std(radii) * found.nominal.variables["share.height"]
-    assert -measures.quantile(-radii * height, 0.95, width=width) == pytest.approx(0.15, abs=1e-9)
-    draft = found.fresh["mean_draft", "mean of"]
-    assert draft.low < draft.fresh < draft.high
-    power = found.robust.values(found.best)["tow_power"]
-    assert found.fresh["tow_power", "mean of"].sharp == pytest.approx(-measures.cvar(-power, 0.8), rel=1e-12)
+    """The radius is proportional to the height, so the robust height follows from the soils' mean and spread."""
+    problem = po.read_problem(FILE, QUICK)
+    scenes = [problem.scene({"share.height": 1.0}), *_field(problem).sample(8, seed=1)]
+    radii = np.array([po.loosened_radius(scenes[0].cone, soil) for soil in scenes[1:]])
+    k = stats.norm.ppf(0.95)
+    height = 0.15 / (radii.mean() - k * radii.std())
+    assert found.best.variables["share.height"] == pytest.approx(height, rel=1e-8)
 
 
-@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_the_robust_design_loosens_more_soils_widely_enough(found, whole):
-    found = optimise_robust(po.read_problem(FILE), lambda *_: None) if whole else found
-    assert found.failures == ()
+def _field(problem):
+    return distribution_of(problem.table.uncertain, problem.scene().soil)
+
+
+@pytest.mark.slow
+def test_the_robust_design_loosens_more_soils_widely_enough():
+    """The shipped question by smoothed quantiles and a worst tenth instead of moments: a height of 0.2746 m."""
+    found = optimise_robust(po.read_problem(FILE), lambda *_: None)
     assert found.best.gap < 1e-8
-    assert found.best.variables["share.height"] > found.nominal.variables["share.height"]
-    nominal, robust = (own["loosened_radius", "probability"] for own in (found.nominal_fresh, found.fresh))
-    assert nominal.fresh < 0.6
-    assert robust.fresh > 0.9
-    assert "loosened_radius" in found.best.active
+    assert found.best.variables["share.height"] == pytest.approx(0.2746, rel=4e-3)
+    assert found.best.variables["scene.stiffness"] == pytest.approx(86.93e3, rel=4e-3)
+    nominal, robust = (_check(own).fresh for own in (found.nominal_fresh, found.fresh))
+    assert nominal < 0.6
+    assert 0.95 < robust < 0.975
+    assert found.fresh.confirmed
+    assert found.best.active == ("loosened_radius", "half_angle")
     objectives = [optimum.objective for optimum in found.best.local_optima]
     assert objectives == sorted(objectives)
-    assert found.best.objective == objectives[0]
+    assert len(objectives) >= 2
 
 
 def test_picture_shows_both_designs_their_means_and_the_limit(found, tmp_path):
@@ -311,7 +259,7 @@ def test_picture_shows_both_designs_their_means_and_the_limit(found, tmp_path):
     for axes, (name, factor, unit) in zip(found.plot(tmp_path / "found.svg").axes, shown, strict=False):
         texts = [text.get_text() for text in axes.get_legend().get_texts()]
         for text, kind, own in zip(texts, ("nominal", "robust"), (found.nominal_fresh, found.fresh), strict=False):
-            assert text.startswith(f"{kind} design: mean {np.mean(own.values[name]) / factor:.4g} {unit}, ")
+            assert text.startswith(f"{kind} design: mean {np.mean(own.values[name]) / factor:.4g} {unit}")
     assert axes.get_xlabel() == "loosened radius [m]"
     assert f"{100.0 * np.mean(found.fresh.values['loosened_radius'] >= 0.15):.1f} % within the limit" in texts[1]
     assert texts[2] == "limit 0.15 m"
@@ -327,9 +275,8 @@ def test_overrides_reach_a_distribution():
     table = po.read_problem(FILE, ['uncertain.soil.cohesion.std="3 kPa"']).table.uncertain["soil.cohesion"]
     assert (table["std"], table["mean"]) == ("3 kPa", "20 kPa")
     other = "uncertain={soil.cohesion={distribution='triangular', lower='10 kPa', mode='20 kPa', upper='60 kPa'}}"
-    table = uncertain_of(po.read_problem(FILE, [other]).table.uncertain)
     # The mean of the three, and the root of (a^2 + b^2 + c^2 - ab - bc - ca)/18; both come by a quadrature.
-    moments = distribution_of(table, po.named_soil("serozem")).moments["cohesion"]
+    moments = _field(po.read_problem(FILE, [other])).moments["cohesion"]
     assert moments == pytest.approx((30e3, 1e3 * math.sqrt(2100 / 18)), rel=1e-8)
 
 
@@ -365,8 +312,8 @@ def test_the_tables_of_the_page_are_those_of_the_file():
     given = tomllib.loads("".join(re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)))
     file, table = tomllib.loads(TEXT), given["uncertain"]
     assert {key: table[key] for key in file["uncertain"]} == file["uncertain"]
-    assert uncertain_of(dict(table)).fresh == 4096
+    assert table["fresh"] == 4096
     assert given["minimise"] == file["minimise"]
     assert given["require"]["loosened_radius"] == file["require"]["loosened_radius"]
     for text in re.findall(r"^\| `([^`=]+)` \|", page, flags=re.MULTILINE):
-        assert text in ("uniform", "triangular", "beta", "normal") or measure_of(text)
+        assert text in ("uniform", "triangular", "beta", "normal") or measure_of(text) != ""

@@ -1,19 +1,6 @@
-"""Designs for uncertain soil: distributions, robust measures over common samples, verification on fresh samples."""
+"""Designs for uncertain soil: distributions, mean and spread over common soils, verification on fresh soils."""
 
-from plough_opt.studies.uncertainty.distribution import Marginal, SoilDistribution, SoilSamples
-from plough_opt.studies.uncertainty.measures import (
-    cvar,
-    expected,
-    mean_plus,
-    probability,
-    quantile,
-    standard_deviation,
-    worst,
-)
-from plough_opt.studies.uncertainty.result import SobolIndices, sobol_indices
-from plough_opt.studies.uncertainty.robust import Check, Robust, Verification, verify
+from plough_opt.studies.uncertainty.distribution import SoilDistribution
+from plough_opt.studies.uncertainty.robust import Check, Robust, Verification, expected, standard_deviation, verify
 
-__all__ = [
-    "Check", "Marginal", "Robust", "SobolIndices", "SoilDistribution", "SoilSamples", "Verification", "cvar",
-    "expected", "mean_plus", "probability", "quantile", "sobol_indices", "standard_deviation", "verify", "worst",
-]  # fmt: skip
+__all__ = ["Check", "Robust", "SoilDistribution", "Verification", "expected", "standard_deviation", "verify"]

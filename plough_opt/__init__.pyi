@@ -57,7 +57,6 @@ from .studies.accuracy.result import AccuracyStudy as AccuracyStudy
 from .studies.accuracy.study import study_accuracy as study_accuracy, study_design as study_design
 from .studies.calibration import (
     Calibration as Calibration,
-    Candidate as Candidate,
     Fit as Fit,
     Measurements as Measurements,
     calibrate as calibrate,

@@ -38,7 +38,7 @@ from plough_opt.motion.solvers import plan
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import reading, schema, source, uncertain
 from plough_opt.soil.elastic import medium
-from plough_opt.studies.calibration.model import measurable
+from plough_opt.studies.calibration.measurements import MEASURABLE
 from plough_opt.studies.sweep import question
 from plough_opt.studies.tradeoff import assembly
 from plough_opt.studies.uncertainty import distribution
@@ -100,7 +100,7 @@ PAGES = {
         least="po.Batch", shorter={"100_000": "1_000"}, holds=lambda names: names["result"].error_estimate.max() < 1e-6
     ),
     "c_program": Page(("jac_share",), briefly=short_motion),
-    "calibration": Page(("soil.cohesion", "What to measure next"), ("out/residuals.png", "out/fit.json")),
+    "calibration": Page(("soil.cohesion", "Scatter about the fit"), ("out/residuals.png", "out/fit.json")),
     "catalogue": Page(holds=lambda names: names["found"].screened == names["found"].combinations == 6 * 51),
     "cluster": Page(shorter={"kPa:9": "kPa:2", "n_workers=2": "n_workers=1"}, scripts=True),
     "component": Page(("share.height [m] 0.2 to 0.3, value 0.25",), shorter={"duration=2.0": "duration=0.2"}),
@@ -234,7 +234,7 @@ def test_a_named_function_exists(name):
 
 def test_results_that_can_be_measured_are_listed():
     (listed,) = re.findall(r"the measured result, one per file: (.*?) \|", TEXTS["calibration"])
-    assert set(re.findall(r"\w+_\w+", listed)) == set(measurable())
+    assert set(re.findall(r"\w+_\w+", listed)) == set(MEASURABLE)
 
 
 # --- limits.md: every figure is the constant by which the code refuses ---

@@ -21,7 +21,7 @@ from helpers.strict_json import strict
 import plough_opt as po
 from plough_opt.app.plots import plot_designs
 from plough_opt.core.expressions import exp
-from plough_opt.studies.calibration import model, quality
+from plough_opt.studies.calibration.fit import HeldOut
 from plough_opt.studies.uncertainty import robust
 
 pandas = pytest.importorskip("pandas")
@@ -268,7 +268,7 @@ def test_folders_and_missing_files_are_refused(tmp_path):
 
 
 HOLDERS = (
-    model.Measurements, quality.CrossValidation, robust.Verification,
+    po.Measurements, HeldOut, robust.Verification,
 )  # fmt: skip
 
 

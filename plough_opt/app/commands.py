@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from plough_opt.app import tables
 from plough_opt.app.main import PART, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, console, give, progress, quiet, read, wrote
-from plough_opt.core.checks import check_named
+from plough_opt.core.checks import check_named, plain_number
 from plough_opt.core.compiler import cache_folder
 from plough_opt.core.errors import InputError, NotConverged, about, printable
 from plough_opt.core.files import check_file, drawn, write_new
@@ -28,7 +28,7 @@ from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES, quantities
 from plough_opt.core.saving import Origin, is_store, load
 from plough_opt.core.tables import Grid, Page, data_frame
-from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display, in_words
+from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.formats import FORMATS, Request
 from plough_opt.laws.forces import cone_index
@@ -515,9 +515,8 @@ def calibrate(options: argparse.Namespace) -> None:
     problem = read(options)
     from plough_opt.studies.calibration import calibrate as run
     from plough_opt.studies.calibration import read_measurements
-    from plough_opt.studies.calibration.quality import check_level
 
-    check_level(options.level)
+    plain_number("level", options.level, above=0.0, below=1.0, why="0.95 is usual")
     if options.hold_out_by is not None and options.hold_out is None:
         raise InputError("--hold-out-by belongs to --hold-out: add a part of the rows, such as --hold-out 1/3")
     files: dict[Path, Measurements] = {}  # so that a file given twice is the same object, which `run` refuses
@@ -530,19 +529,15 @@ def calibrate(options: argparse.Namespace) -> None:
     with progress() as notify:
         notify("calibrating", 0.0)
         fit = run(problem, data, unknown, loss=options.loss, errors=options.errors)
-        fit = replace(fit, origin=fit.origin.with_data(options.data))
+        fit = replace(fit, origin=fit.origin.with_data(options.data), level=options.level)
         notify("intervals", 0.5)
-        fit.intervals(options.level)
-        notify("what to measure next", 0.8)
-        fit = fit.complete(options.level)
         held = _held_out(fit, options) if options.hold_out is not None else None
         text = fit.to_json() if options.json or options.output is not None else ""
         if held is not None and text:
             text = json_text(json.loads(text) | {"held_out": held.plain()})
-        quality = "" if options.json else _quality(fit, options.folds)
         page = fit.page()
-    more = (quality, held.words() if held is not None else "")
-    page = replace(page, parts=(*page.parts, *(sentence for sentence in more if sentence)))
+    if held is not None:
+        page = replace(page, parts=(*page.parts, held.words()))
     give(options, page, lambda: text, fit.plot if held is None else held.plot, fit.to_dataframe)
 
 
@@ -597,17 +592,3 @@ def _split(option: str, text: str, marks: Sequence[str], example: str) -> tuple[
     return key, with_unit(first, second), second
 
 
-def _quality(fit: Fit, folds: int | None) -> str:
-    """Return a sentence on the errors in cross-validation, or on why there is none."""
-    try:
-        found = fit.cross_validation(folds)
-    except (InputError, NotConverged) as error:
-        if folds is not None and isinstance(error, InputError):
-            raise
-        return f"No cross-validation: {error}."
-    units = {row.result: row.unit for row in fit.rows}
-    errors = "; ".join(
-        f"{name} {in_words(x, units[name], 3)} (fitted rows {in_words(found.rms_fitted[name], units[name], 3)})"
-        for name, x in found.rms.items()
-    )
-    return f"RMS error of rows left out of the fit, {found.folds} folds: {errors}."

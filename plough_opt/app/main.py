@@ -233,12 +233,12 @@ def _calibrate(verb: _Parser) -> None:
     verb.option("unknown", 'KEY="RANGE"', unknown, action="append", default=[])
     known = 'separate measurement of an unknown, with one standard deviation: soil.friction_angle="28 +- 1 deg"'
     verb.option("known", 'KEY="VALUE"', known, action="append", default=[])
-    loss = "loss function; all but squares give outliers less weight (default: squares)"
-    verb.choice("loss", ("squares", "huber", "soft_l1", "cauchy"), loss, "squares")
+    verb.choice(
+        "loss", ("squares", "soft_l1"), "loss; soft_l1 gives outliers less weight (default: squares)", "squares"
+    )
     errors = "errors whose sigma is not stated: constant, or proportional to the result (default: constant)"
     verb.choice("errors", ("constant", "relative"), errors, "constant")
     verb.option("level", "P", "confidence level of the intervals (default: 0.95)", type=float, default=0.95)
-    verb.option("folds", "N", "number of folds in cross-validation (default: leave one row out)", type=int)
     part = "also fit to the other rows, and predict this part of them: 1/3, 0.3 or 30 %%"
     verb.option("hold-out", "PART", part)
     by = "hold out rows together that have one value in this column: share.wedge_angle (default: single rows)"

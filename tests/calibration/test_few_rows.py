@@ -12,7 +12,6 @@ import pint
 import pytest
 from helpers.known_soil import BOUNDS, TRUTH, drafts, steady_scene
 from helpers.problem_files import STATIC, changed
-from scipy import optimize, stats
 
 import plough_opt as po
 
@@ -20,7 +19,7 @@ import plough_opt as po
 
 COHESION = {"soil.cohesion": ("1 kPa", "80 kPa")}
 BOTH = COHESION | {"soil.tool_friction": (0.05, 1.5)}
-LOSSES = ("squares", "huber", "soft_l1", "cauchy")
+LOSSES = ("squares", "soft_l1")
 
 
 def table(rows, seed=0, **options):
@@ -34,33 +33,24 @@ def table(rows, seed=0, **options):
 
 def assert_same(one, other):
     """Assert that two fits agree in all results that do not depend on the order of the rows."""
-    numbers, names = [], []
+    numbers = []
     for fit in (one, other):
-        ends = [end for kind in ("profile", "linearised") for own in fit.intervals(kind=kind).values() for end in own]
-        following = fit.next_measurements()
-        gains = [item.information for item in following]
-        errors = [error for item in following for pair in item.errors.values() for error in pair]
-        values = [*fit.values.values(), *fit.standard_errors.values(), fit.scatter, fit.total]
-        numbers.append([*values, *ends, *gains, *errors, *fit.cross_validation().rms.values()])
-        names.append([item.candidate.describe() for item in following])
+        ends = [end for own in fit.intervals().values() for end in own]
+        numbers.append([*fit.values.values(), *fit.standard_errors.values(), fit.scatter, *fit.optima, *ends])
     # The search stops within 1e-4 of a standard error.
     np.testing.assert_allclose(*numbers, rtol=1e-3, atol=1e-6)
-    assert names[0] == names[1]
     assert (one.freedom, len(one.warnings)) == (other.freedom, len(other.warnings))
 
 
-@pytest.mark.parametrize("loss", ["squares", "huber"])
+@pytest.mark.parametrize("loss", LOSSES)
 def test_rows_of_weight_0_change_nothing(loss):
-    kept, extra = table(8), table(3, seed=1)
-    values = np.r_[kept.values, 1e3 * extra.values]
-    conditions = {key: np.r_[kept.conditions[key], extra.conditions[key]] for key in kept.conditions}
+    whole, extra = table(8), table(3, seed=1)
+    values = np.r_[whole.values, 1e3 * extra.values]
+    conditions = {key: np.r_[whole.conditions[key], extra.conditions[key]] for key in whole.conditions}
     with_extra = po.Measurements("mean_draft", values, conditions, weights=[1.0] * 8 + [0.0] * 3)
-    fits = [po.calibrate(steady_scene(), data, BOTH, loss=loss) for data in (kept, with_extra)]
+    fits = [po.calibrate(steady_scene(), data, BOTH, loss=loss) for data in (whole, with_extra)]
     assert_same(*fits)
-    found = fits[1].cross_validation()
-    assert (found.folds, found.rows.tolist()) == (8, [*range(8)])
-    with pytest.raises(po.InputError, match="from 2 to 8"):
-        fits[1].cross_validation(9)
+    assert {row.place for row in fits[1].hold_out(0.5).rows} < {whole.row(k) for k in range(8)}
 
 
 @pytest.mark.parametrize("errors", ["constant", "relative"])
@@ -69,7 +59,7 @@ def test_results_do_not_depend_on_the_order_of_rows_and_sets(seed, errors):
     sets, rng = [table(7, seed), table(4, seed + 10), table(5, seed + 20)], np.random.default_rng(seed)
     shuffled = []
     for number in rng.permutation(3):
-        own, order = sets[number], rng.permutation(sets[number].rows)
+        own, order = sets[number], rng.permutation(len(sets[number].values))
         conditions = {key: column[order] for key, column in reversed(own.conditions.items())}
         shuffled.append(po.Measurements("mean_draft", own.values[order], conditions))
     one, other = (po.calibrate(steady_scene(), data, BOTH, errors=errors) for data in (sets, shuffled))
@@ -109,7 +99,7 @@ def test_any_small_table_gives_an_answer_or_an_input_error(seed):
     if refusal:
         assert refusal.partition(":")[2]
         return
-    assert all(np.isfinite(value) for value in (*fit.values.values(), fit.scatter, fit.total))
+    assert all(np.isfinite(value) for value in (*fit.values.values(), fit.scatter, *fit.optima))
     assert not any(np.isnan(end) for interval in fit.intervals().values() for end in interval)
     assert str(fit) == str(copy.deepcopy(fit))
 
@@ -127,15 +117,10 @@ def test_a_fit_is_a_value():
     assert fit == again
     before, copied = str(fit), copy.deepcopy(fit)
     fit.intervals(0.9)
-    fit.next_measurements()
-    fit.cross_validation()
+    fit.hold_out()
     assert (str(fit), str(copied), fit) == (before, before, copied)
-    complete = fit.complete(0.9)
-    assert "90 % interval" in str(complete)
-    assert "measure next" in str(complete)
-    assert complete.intervals(0.9) == fit.intervals(0.9)
+    assert "90 % interval" in str(dataclasses.replace(fit, level=0.9))
     assert pickle.loads(pickle.dumps(fit)) == fit
-    assert dataclasses.replace(fit) == fit
 
 
 def test_predictions_take_units_and_refuse_what_is_not_an_unknown():
@@ -151,7 +136,7 @@ def test_predictions_take_units_and_refuse_what_is_not_an_unknown():
         (None, "lack soil.cohesion"),
         ({"soil.cohesion": 2e4, "soil.density": 1.0}, "'soil.density' is not an unknown"),
         ({"soil.cohesion": "20 m"}, "wrong unit"),
-        ({"soil.cohesion": [2e4]}, "must be a number"),
+        ({"soil.cohesion": [2e4]}, "is not a number"),
         ({"soil.cohesion": float("nan")}, "must be finite"),
         ({"soil.cohesion": 0.0}, "must be above 0"),
         ([2e4], "values"),
@@ -181,18 +166,6 @@ def calibration(errors):
     return po.Calibration(steady_scene(), data, UNKNOWN, errors=errors, starts=1)
 
 
-def studied(proportional, errors, trials, seed=1):
-    """Return the coverage of each unknown's 95 % interval, and the part of the fits that warn of growing errors."""
-    rng, own = np.random.default_rng(seed), calibration(errors)
-    inside, warned = np.zeros(len(NAMES)), 0
-    for _ in range(trials):
-        sigma = 0.03 * (EXACT if proportional else np.mean(EXACT))
-        fit = own.fit(EXACT + sigma * rng.standard_normal(len(EXACT)))
-        inside += [TRUTH[name] in interval for name, interval in fit.intervals().items()]
-        warned += any("residuals grow" in text for text in fit.warnings)
-    return inside / trials, warned / trials
-
-
 def test_the_fit_is_that_of_iterated_weights():
     """Against weights over the predictions of the fit, which repeated fits with weights lead to."""
     noisy = EXACT * (1.0 + 0.1 * np.random.default_rng(3).standard_normal(len(EXACT)))
@@ -209,20 +182,6 @@ def test_the_fit_is_that_of_iterated_weights():
     freedom = len(EXACT) - len(NAMES)
     assert found.scatter == pytest.approx(np.sqrt(np.sum((found.residuals / found.predicted) ** 2) / freedom), rel=1e-6)
     assert "of the predicted values" in str(found)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("proportional", "errors"), [(False, "constant"), (True, "relative"), (True, "constant")], ids=str
-)
-def test_coverage_of_400_sets(proportional, errors):
-    covered, warned = studied(proportional, errors, 400)
-    print(f"\nproportional {proportional}, assumed {errors}: covered {100 * covered}, warned {100 * warned:.0f} %")
-    if proportional and errors == "constant":
-        assert warned > 0.7
-    else:
-        assert np.all(np.abs(covered - 0.95) <= 0.03)
-        assert warned <= 0.08
 
 
 def test_relative_errors_and_sigma_exclude_each_other():
@@ -250,16 +209,15 @@ def test_no_draft_separates_cohesion_and_ambient_pressure(confounded):
     # F0 goes with nu p_a + 2 k cos(theta)/(1 + sin(theta)): p_a can be offset by tan(theta) of itself in cohesion.
     ratio = found.changes["soil.cohesion"] / found.changes["soil.ambient_pressure"]
     assert ratio == pytest.approx(-math.tan(TRUTH["soil.friction_angle"]), rel=1e-9)
-    more, less = re.search(r"more ([\w.]+) can be offset by .+ less ([\w.]+);", found.words).groups()
+    more, less = re.search(r"more ([\w.]+) can be offset by .+ less ([\w.]+)$", found.words).groups()
     assert {more, less} == set(found.changes) == {"soil.cohesion", "soil.ambient_pressure"}
 
 
 def test_undetermined_unknowns_have_infinite_intervals(confounded):
-    determined = {found.name: found.determined for found in confounded.unknowns}
+    determined = {name: error < math.inf for name, error in confounded.standard_errors.items()}
     assert determined == {"soil.cohesion": False, "soil.ambient_pressure": False, "soil.tool_friction": True}
-    for kind in ("profile", "linearised"):
-        for name, interval in confounded.intervals(kind=kind).items():
-            assert [math.isfinite(end) for end in interval] == [determined[name]] * 2
+    for name, interval in confounded.intervals().items():
+        assert [math.isfinite(end) for end in interval] == [determined[name]] * 2
     assert confounded.standard_errors["soil.cohesion"] == math.inf
     assert confounded.correlations == {}
     assert np.all(np.isfinite([row.standard_error for row in confounded.rows]))
@@ -270,7 +228,7 @@ def test_an_undetermined_unknown_does_not_change_the_others(confounded, measured
     name = "soil.tool_friction"
     fit = po.calibrate(steady_scene(), measured, {key: STRENGTH[key] for key in ("soil.cohesion", name)})
     # The pull along the open direction moves the others by less than a hundredth of their error, squared here.
-    assert confounded.total == pytest.approx(fit.total, rel=1e-3)
+    assert confounded.optima[0] == pytest.approx(fit.optima[0], rel=1e-3)
     error = fit.standard_errors[name]
     assert confounded.values[name] == pytest.approx(fit.values[name], abs=0.02 * error)
     assert confounded.standard_errors[name] == pytest.approx(error, rel=0.02)
@@ -292,28 +250,6 @@ def test_exact_drafts_separate_them_no_better(plane):
     assert fit.intervals()["soil.tool_friction"].kind == "linearised"  # too short to differ
 
 
-def test_data_at_one_wedge_angle_ask_for_another():
-    """At one wedge angle cohesion and tool friction are one factor; a coated share or another angle separates them."""
-    conditions, exact = drafts(np.linspace(0.8, 3.0, 8), [po.deg(40.0)])
-    unknown = {name: BOUNDS[name] for name in ("soil.cohesion", "soil.tool_friction")}
-    data = po.Measurements("mean_draft", exact, conditions, sigma=0.03 * exact)
-    fit = po.calibrate(steady_scene(), data, unknown)
-    # Between the bounds of the cohesion the tool friction is not quite open.
-    assert not fit.unknowns[0].determined
-    assert "told apart" in fit.unidentifiable[0].words
-    gain = {item.candidate.describe(): item.information for item in fit.next_measurements()}
-    best = next(iter(gain))
-    assert "tool friction 0.2" in best or "directly" in best
-    # Speed separates the two by the drag alone, some 1 % of the draft; height not at all.
-    angle, speed, height = (max(value for name, value in gain.items() if key in name)
-                            for key in ("wedge_angle", "tow_speed", "height"))  # fmt: skip
-    assert angle > 2.0 * max(speed, height)
-    # Then it is measured, and both are determined.
-    wide, wide_exact = drafts([2.0], np.radians([25.0, 60.0]))
-    more = po.Measurements("mean_draft", wide_exact, wide, sigma=0.03 * wide_exact)
-    assert all(found.determined for found in po.calibrate(steady_scene(), [data, more], unknown).unknowns)
-
-
 def test_an_unknown_without_effect_is_named(measured):
     unknown = {"soil.cohesion": BOUNDS["soil.cohesion"], "scene.stiffness": (1e4, 1e6)}
     fit = po.calibrate(steady_scene(), measured, unknown)
@@ -329,8 +265,8 @@ def test_six_unknowns_are_separated_into_determined_and_undetermined(measured):
     assert sum(found.structural for found in fit.unidentifiable) == 2
     named = {name for found in fit.unidentifiable for name in found.changes}
     assert {"soil.cohesion", "soil.ambient_pressure", "soil.friction_angle", "soil.density_ratio"} <= named
-    assert {found.name for found in fit.unknowns if found.determined} == {"soil.tool_friction", "effects.rate_term"}
-    assert fit.next_measurement.information == max(item.information for item in fit.next_measurements())
+    determined = {name for name, error in fit.standard_errors.items() if error < math.inf}
+    assert determined == {"soil.tool_friction", "effects.rate_term"}
 
 
 def test_a_small_part_of_a_combination_is_named_too(measured):
@@ -347,28 +283,7 @@ def test_a_direct_measurement_of_an_unknown_determines_all(measured):
     fit = po.calibrate(steady_scene(), [measured, shear], STRENGTH)
     assert fit.unidentifiable == ()
     assert fit.standard_errors["soil.ambient_pressure"] == pytest.approx(2e3, rel=1e-3)
-    assert fit.cross_validation().rows.tolist() == list(range(len(measured.values)))
-
-
-@pytest.mark.parametrize("loss", ["squares", "huber"])
-def test_profile_ends_are_where_the_loss_has_risen(measured, three, loss):
-    """Against a profile by SciPy: the other unknowns fitted at each value of the first."""
-    fit = po.calibrate(steady_scene(), measured, three, loss=loss)
-    found, rise = fit.source, 0.5 * stats.norm.ppf(0.975) ** 2
-    if loss == "huber":  # Student's quantile, and the variance of docs/explanation/fitting.md
-        freedom, size = len(measured.values) - 3, np.abs(fit.residuals / measured.sigma)
-        variance = np.sum(np.minimum(size, 1.345) ** 2) / freedom / np.mean(size < 1.345)
-        rise = 0.5 * stats.t.ppf(0.975, freedom) ** 2 * variance
-
-    def risen(own):
-        def loss_of(rest):
-            return found.setup.problem.total(np.array([own, *rest]), found.data)
-
-        options = {"xatol": 1e-9, "fatol": 1e-11}
-        return optimize.minimize(loss_of, found.y[1:], method="Nelder-Mead", options=options).fun - fit.total
-
-    for end in fit.intervals()["soil.cohesion"]:
-        assert risen(found.unknowns[0].scaled(end)) == pytest.approx(rise, abs=1e-6)
+    assert all("shear" not in row.place for row in fit.hold_out(0.9).rows)
 
 
 # --- strength factor and density ratio from a penetrometer and the width of a trench, with intervals ---
@@ -401,26 +316,20 @@ def test_one_reading_of_each_determines_both():
     truth = {"soil.strength_factor": INDEX / index_of(ratio), "soil.density_ratio": ratio}
     assert fit.values == pytest.approx(truth, rel=1e-7)  # of the least squares' steps
     assert [po.cone_index(fit.soil), po.loosened_radius(CONE, fit.soil)] == pytest.approx([INDEX, RADIUS], rel=1e-7)
-    # Each prediction has the variance of its own reading, which a second one halves.
-    gains = {item.candidate.describe(): item.information for item in fit.next_measurements()}
-    assert gains["loosened_radius again"] == pytest.approx(0.5 * math.log(2.0), rel=1e-3)
-    assert fit.plot().axes[2].get_xlabel() == "number of the row"
-    with pytest.raises(po.InputError, match="2 folds leave fewer rows than unknowns"):
-        fit.cross_validation()
+    assert fit.plot().axes[1].get_xlabel() == "number of the row"
+    with pytest.raises(po.InputError, match="leaves fewer than the 2 that 2 unknowns need"):
+        fit.hold_out()
 
 
-def test_intervals_agree_with_error_propagation():
+def test_errors_agree_with_propagation():
     """By hand: 1 - b1 goes with r^-2; the strength factor with the reading, and against the law's index at that b1."""
     fit = fitted([INDEX], [RADIUS], (1e5, 2e-3))
-    ratio = ratio_of(RADIUS)
+    ratio, errors = ratio_of(RADIUS), fit.standard_errors
     of_ratio = 2.0 * (1.0 - ratio) * 2e-3 / RADIUS
     slope = math.log(index_of(ratio + 1e-5) / index_of(ratio - 1e-5)) / 2e-5
-    found = fit.intervals(kind="linearised")
-    width = found["soil.density_ratio"].upper - found["soil.density_ratio"].lower
-    assert width / 2.0 == pytest.approx(1.959964 * of_ratio, rel=1e-5)
-    # What has bounds that are far apart is fitted by its logarithm.
-    width = math.log(found["soil.strength_factor"].upper / found["soil.strength_factor"].lower)
-    assert width / 2.0 == pytest.approx(1.959964 * math.hypot(1e5 / INDEX, slope * of_ratio), rel=1e-5)
+    assert errors["soil.density_ratio"] == pytest.approx(of_ratio, rel=1e-6)
+    relative = errors["soil.strength_factor"] / fit.values["soil.strength_factor"]
+    assert relative == pytest.approx(math.hypot(1e5 / INDEX, slope * of_ratio), rel=1e-5)
 
 
 @pytest.mark.slow  # by default test_linear.py stands for it

@@ -1,6 +1,5 @@
 """Calibration: estimates, intervals and plans against closed forms and searches, with runs and without."""
 
-import dataclasses
 import json
 import math
 import re
@@ -15,8 +14,8 @@ from helpers.strict_json import strict
 from scipy import optimize, stats
 
 import plough_opt as po
-from plough_opt.studies.calibration import estimate
-from plough_opt.studies.calibration.estimate import CAUCHY, HUBER, LOSSES, SOFT_L1
+from plough_opt.studies.calibration import least_squares
+from plough_opt.studies.calibration.least_squares import SOFT_L1
 
 # --- models linear in their unknowns, against linear regression; optima of every loss; how often intervals hold ---
 
@@ -74,48 +73,12 @@ def test_values_errors_correlation_and_scatter(both, regression):
     assert fit.scatter == pytest.approx(np.linalg.norm(fit.residuals * weights) / 12**0.5 / size, rel=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["profile", "linearised"])
-def test_intervals(both, kind):
-    fit, found, covariance, quantile, _, _ = both
-    errors = np.sqrt(np.diag(covariance))
-    for k, interval in enumerate(fit.intervals(0.95, kind).values()):
-        # The density is scaled logarithmically: its linearised interval is not symmetric, the profile's is.
-        if kind == "linearised" and k == 1:
-            factor = np.exp(quantile * errors[k] / found[k])
-            expected = (found[k] / factor, found[k] * factor)
-        else:
-            expected = (found[k] - quantile * errors[k], found[k] + quantile * errors[k])
-        assert interval.kind == kind
-        # The profile's limit is met to 1e-9 of a loss, of which the interval is the root.
-        np.testing.assert_allclose(tuple(interval), expected, rtol=1e-6)
-
-
-def test_leaving_one_out_is_the_hat_matrix(both):
-    fit, _, _, _, weighted, _ = both
-    hat = weighted @ np.linalg.inv(weighted.T @ weighted) @ weighted.T
-    expected = fit.residuals / (1.0 - np.diag(hat))
-    found = fit.cross_validation()
-    assert found.folds == len(fit.rows)
-    np.testing.assert_allclose(found.errors, expected, rtol=1e-5, atol=1e-6 * np.max(np.abs(expected)))
-    assert found.rms["mean_draft"] == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-6)
-    assert found.rms["mean_draft"] > found.rms_fitted["mean_draft"]
-
-
-def test_a_next_measurement_reduces_the_errors_as_predicted(regression):
-    speeds, _, sigma, offset, matrix = regression
-    scene = linear_scene(20e3, 1400.0, 2.0)
-    exact = offset + matrix @ [20e3, 1400.0]
-    # Errors so small, and bounds so wide, that the bounds tell nothing beside the data: some 1e-7 of the variance.
-    data = po.Measurements("mean_draft", exact, {"scene.tow_speed": speeds}, sigma=sigma / 100.0)
-    wide = {"soil.cohesion": (0.0, 4e7, 1e4), "soil.density": (1.0, 2e6, 1e3)}
-    candidate = po.Candidate("mean_draft", {"scene.tow_speed": 9.0}, sigma=0.5)
-    fit = po.calibrate(scene, data, wide)
-    (promise,) = fit.next_measurements([candidate])
-    draft = float(linear_scene(20e3, 1400.0, 9.0).steady_resistance)
-    added = po.Measurements("mean_draft", [draft], {"scene.tow_speed": [9.0]}, sigma=0.5)
-    then = po.calibrate(scene, [data, added], wide)
-    for name, errors in promise.errors.items():
-        assert errors == pytest.approx((fit.standard_errors[name], then.standard_errors[name]), rel=1e-5)
+def test_intervals(both):
+    fit, found, covariance, quantile = both[:4]
+    reach = quantile * np.sqrt(np.diag(covariance))
+    ends = [[*interval] for interval in fit.intervals().values()]
+    # The profile's limit is met to 1e-9 of a loss, of which the interval is the root.
+    np.testing.assert_allclose(ends, np.column_stack([found - reach, found + reach]), rtol=1e-6)
 
 
 @pytest.fixture(scope="session")
@@ -138,7 +101,7 @@ def identifiable(found):
 def test_coverage_of_500_trials_is_95_per_cent_within_3(script, number):
     found = script.CASES[number].run(500)
     for own in identifiable(found):
-        assert abs(own.rate("profile") - 0.95) <= 0.03, own
+        assert abs(own.rate - 0.95) <= 0.03, own
 
 
 def test_the_page_has_the_table_of_the_script(script):
@@ -149,8 +112,8 @@ def test_the_page_has_the_table_of_the_script(script):
     assert [(name, int(count) / 500) for _, name, count, _ in rows] == found
     assert {name for name, identifiable in found if identifiable} == set(script.BOUNDS)
     for _, _, count, rest in rows:
-        rates = [float(text) for text in re.findall(r"([\d.]+) %", rest)[:2]]
-        assert rates == pytest.approx([95.0, 95.0] if int(count) else [], abs=3.0)
+        rates = [float(text) for text in re.findall(r"([\d.]+) %", rest)[:1]]
+        assert rates == pytest.approx([95.0] if int(count) else [], abs=3.0)
 
 
 def residuals(measured):
@@ -169,18 +132,16 @@ def residuals(measured):
 # The losses of docs/explanation/fitting.md, r -> rho, written independently of the package.
 WRITTEN = {
     "squares": lambda r: r**2 / 2,
-    "huber": lambda r: np.where(np.abs(r) <= 1.345, r**2 / 2, 1.345 * np.abs(r) - 1.345**2 / 2),
     "soft_l1": lambda r: 1.287**2 * (np.sqrt(1 + (r / 1.287) ** 2) - 1),
-    "cauchy": lambda r: 2.385**2 / 2 * np.log(1 + (r / 2.385) ** 2),
 }
 
 
-def test_the_page_names_the_constants_of_the_code():
+def test_the_page_names_the_constant_of_the_code():
     text = (PROBLEMS.parent / "docs" / "explanation" / "fitting.md").read_text(encoding="utf-8")
-    assert [float(c) for c in re.findall(r"\$c=([\d.]+)\$", text)] == [HUBER, SOFT_L1, CAUCHY]
+    assert [float(c) for c in re.findall(r"\$c=([\d.]+)\$", text)] == [SOFT_L1]
 
 
-@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("loss", WRITTEN)
 def test_optimum_is_that_of_a_simplex_search(measured, three, loss):
     fit = po.calibrate(steady_scene(), measured, three, loss=loss)
     r = residuals(measured)
@@ -191,25 +152,43 @@ def test_optimum_is_that_of_a_simplex_search(measured, three, loss):
     values = np.array(list(fit.values.values())) * np.array([1e-3, 1.0, 100.0])
     # The loss is flat at its optimum: its rounding, 1e-15, is some 1e-7 of a standard error.
     np.testing.assert_allclose(values, found.x, rtol=2e-6)
-    assert fit.total == pytest.approx(found.fun, rel=1e-12)
+    assert fit.optima[0] == pytest.approx(found.fun, rel=1e-12)
 
 
-@pytest.mark.parametrize("loss", LOSSES)
-def test_exact_drafts_without_sigma_give_the_truth(plane, three, loss):
+@pytest.mark.parametrize("loss", WRITTEN)
+def test_values_errors_and_intervals_are_those_of_scipy_alone(measured, three, loss):
+    """Least squares on residuals written apart, with slopes by differences, and a profile fitted at each value."""
+    fit, r, scale = po.calibrate(steady_scene(), measured, three, loss=loss), residuals(measured), [1e3, 1.0, 0.01]
+    options = {"x_scale": "jac", "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15, "jac": "3-point", "f_scale": SOFT_L1}
+    kind = {"squares": "linear", "soft_l1": "soft_l1"}[loss]
+    best = optimize.least_squares(r, [20.0, 0.5, 2.0], loss=kind, **options)
+    # The loss is flat at its optimum, and steps of squares are exact beyond its rounding.
+    np.testing.assert_allclose([*fit.values.values()], best.x * scale, rtol=1e-9 if loss == "squares" else 2e-8)
+    rise = 0.5 * stats.norm.ppf(0.975) ** 2
+    if loss == "squares":
+        errors = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac))) * scale
+        np.testing.assert_allclose([*fit.standard_errors.values()], errors, rtol=1e-7)
+    else:  # Student's quantile, and the variance of docs/explanation/fitting.md
+        root, freedom = np.hypot(1.0, r(best.x) / SOFT_L1), len(measured.values) - 3
+        variance = np.sum((r(best.x) / root) ** 2) / freedom / np.mean(root**-3.0)
+        rise = 0.5 * stats.t.ppf(0.975, freedom) ** 2 * variance
+
+    def risen(own):
+        others = optimize.least_squares(lambda x: r([own, *x]), best.x[1:], loss=kind, **options)
+        return others.cost - best.cost - rise
+
+    interval = fit.intervals()["soil.cohesion"]
+    for end, far in zip(interval, (0.3, 3.0), strict=True):
+        expected = optimize.brentq(risen, best.x[0], far * best.x[0], xtol=1e-11, rtol=1e-13)
+        assert end == pytest.approx(1e3 * expected, rel=1e-8)
+
+
+def test_exact_drafts_without_sigma_give_the_truth(plane, three):
     conditions, exact, _ = plane
-    fit = po.calibrate(steady_scene(), po.Measurements("mean_draft", exact, conditions), three, loss=loss)
-    # Rounding of the drafts, magnified by their correlation.
-    assert fit.values == pytest.approx({name: TRUTH[name] for name in three}, rel=1e-11)
-
-
-@pytest.mark.parametrize("loss", LOSSES)
-def test_weight_and_curvature_are_the_derivatives_of_a_loss(loss):
-    own, step = LOSSES[loss], 1e-5
-    for r in (-7.0, -1.0, 0.3, 1.2, 3.0):
-        slope = (own.value(r + step) - own.value(r - step)) / (2.0 * step)
-        bend = (own.derivatives(r + step)[0] * (r + step) - own.derivatives(r - step)[0] * (r - step)) / (2.0 * step)
-        assert own.derivatives(r) == (pytest.approx(slope / r, rel=1e-8), pytest.approx(bend, rel=1e-7, abs=1e-9))
-    assert own.value(1e-3) == pytest.approx(0.5e-6, rel=1e-5)
+    for loss in WRITTEN:
+        fit = po.calibrate(steady_scene(), po.Measurements("mean_draft", exact, conditions), three, loss=loss)
+        # Rounding of the drafts, magnified by their correlation.
+        assert fit.values == pytest.approx({name: TRUTH[name] for name in three}, rel=1e-10)
 
 
 def test_outliers_pull_a_robust_fit_less(plane, three):
@@ -217,16 +196,16 @@ def test_outliers_pull_a_robust_fit_less(plane, three):
     spoilt = noisy.copy()
     spoilt[[2, 9, 20]] *= [1.8, 0.4, 1.7]
     data = po.Measurements("mean_draft", spoilt, conditions, sigma=0.03 * exact, name="spoilt")
-    plain, robust = (po.calibrate(steady_scene(), data, three, loss=loss) for loss in ("squares", "cauchy"))
+    plain, robust = (po.calibrate(steady_scene(), data, three, loss=loss) for loss in WRITTEN)
     # Without sigma only ratios of weights count, because the scatter is estimated.
     weighted = (po.Measurements("mean_draft", spoilt, conditions, weights=w / exact**2) for w in (1, 1e4))
-    one, other = (po.calibrate(steady_scene(), own, three, loss="cauchy") for own in weighted)
+    one, other = (po.calibrate(steady_scene(), own, three, loss="soft_l1") for own in weighted)
     assert list(one.values.values()) == pytest.approx(list(other.values.values()), rel=1e-4)
     assert one.values["soil.cohesion"] == pytest.approx(robust.values["soil.cohesion"], rel=0.1)
     for name in three:
         assert abs(robust.values[name] - TRUTH[name]) < 3.0 * robust.standard_errors[name]
-    # The cohesion suffers most: squares miss it by more than ten times the robust fit's error.
-    assert abs(plain.values["soil.cohesion"] - 20e3) > 4.0 * abs(robust.values["soil.cohesion"] - 20e3)
+    # The cohesion suffers most.
+    assert abs(plain.values["soil.cohesion"] - 20e3) > 2.0 * abs(robust.values["soil.cohesion"] - 20e3)
     assert any("outliers: spoilt, row" in warning for warning in plain.warnings)
     assert any("the stated sigma" in warning for warning in plain.warnings)
 
@@ -245,28 +224,6 @@ def test_all_optima_are_found_and_close_ones_give_a_warning(measured):
     assert list(fit.optima) == pytest.approx(least, abs=2e-3)
     near = sum(one - least[0] < 0.5 * 1.96**2 for one in least[1:])
     assert any(text.startswith(f"{near} other local optima fit almost as well") for text in fit.warnings)
-
-
-SLOWLY = [0.86, 1.11, 1.99, 2.94], [0.465, 0.476, 0.679, 0.919], [1459.0, 1421.0, 4615.0, 6184.0]
-NEVER = (
-    [1.07, 1.14, 1.3, 1.86, 2.15, 2.51],
-    [0.465, 0.544, 0.568, 0.834, 0.94, 0.974],
-    [2328.0, 1748.0, 4311.0, 2338.0, 6300.0, 19271.0],
-)
-
-
-@pytest.mark.parametrize(("rows", "settles"), [(SLOWLY, True), (NEVER, False)], ids=["slowly", "never"])
-def test_a_robust_fit_settles_on_its_own_scale_or_says_that_it_does_not(rows, settles):
-    """Poor data, from which fit and scale approach each other slowly or take turns."""
-    speed, angle, drafts = rows
-    data = po.Measurements("mean_draft", drafts, {"scene.tow_speed": speed, "share.wedge_angle": angle})
-    unknown = {"soil.cohesion": (1e3, 80e3), "soil.tool_friction": (0.05, 1.5)}
-    fit = po.calibrate(steady_scene(), data, unknown, loss="huber")
-    scale = 1.4826 * np.median(np.abs(fit.residuals)) * (len(drafts) / (len(drafts) - 2)) ** 0.5
-    ratio = scale * fit.source.data.weights[0]
-    # Each scale is nearer by a seventh, and the last two differ by 1e-4.
-    assert settles == (ratio == pytest.approx(1.0, rel=1e-3))
-    assert settles != any(f"scatter {ratio:.3g} times" in warning for warning in fit.warnings)
 
 
 def test_an_unknown_at_its_bound_gives_a_warning(measured, three):
@@ -309,7 +266,7 @@ REFUSED_UNKNOWNS = [
     ({"scene.frame_mass": (1.0, 2.0)}, {}, "a scene has no quantity 'scene.frame_mass': did you mean 'scene.mass'"),
     ({"effects.strength_wave.amplitude": (0.0, 0.5)}, {}, "the scene has no 'effects.strength_wave.amplitude'"),
     ({}, {}, "no unknowns"),
-    ({"soil.cohesion": (1e3, 80e3)}, {"loss": "huberr"}, "no loss is named 'huberr': did you mean 'huber'?"),
+    ({"soil.cohesion": (1e3, 80e3)}, {"loss": "soft"}, "no loss is named 'soft': did you mean 'soft_l1'?"),
     ({"soil.cohesion": (1e3, 80e3)}, {"starts": 0}, "starts = 0 must be a whole number from 1 to 16"),
 ]
 
@@ -356,24 +313,21 @@ def test_a_calibration_fits_other_observed_values(measured, three, fitted):
             calibration.fit(wrong)
 
 
-def test_invalid_levels_kinds_folds_and_candidates_are_refused(fitted):
+def test_invalid_levels_are_refused(fitted):
     with pytest.raises(po.InputError, match="level = 95 must be below 1"):
         fitted.intervals(95)
-    with pytest.raises(po.InputError, match="must be 'profile' or 'linearised'"):
-        fitted.intervals(kind="bootstrap")
-    with pytest.raises(po.InputError, match="folds = 1 must be a whole number from 2 to 24"):
-        fitted.cross_validation(1)
-    with pytest.raises(po.InputError, match="none of the candidates"):
-        fitted.next_measurements([po.Candidate("mount_force"), po.Candidate("soil.density")])
 
 
 def test_a_fit_that_does_not_converge_is_refused(measured, three, fitted, monkeypatch):
-    monkeypatch.setitem(estimate._TOLERANCES, "max_nfev", 1)
+    monkeypatch.setitem(least_squares._TOLERANCES, "max_nfev", 1)
     with pytest.raises(po.NotConverged, match="did not converge from any of 4 starts") as failure:
         po.calibrate(steady_scene(), measured, three)
     assert failure.value.status
     # A profile that does not converge gives way to the linearised interval.
-    assert dataclasses.replace(fitted).intervals(0.9) == fitted.intervals(0.9, "linearised")
+    ends = fitted.intervals(0.9)["soil.tool_friction"]
+    value, reach = fitted.values["soil.tool_friction"], 1.6448536 * fitted.standard_errors["soil.tool_friction"]
+    assert ends.kind == "linearised"
+    assert [*np.log([*ends])] == pytest.approx(np.log(value) + np.array([-1.0, 1.0]) * reach / value, rel=1e-6)
 
 
 FILE, DATA = PROBLEMS / "calibration.toml", PROBLEMS / "synthetic_draft.csv"
@@ -384,7 +338,7 @@ def test_tables_and_files(tmp_path):
     out = printed("calibrate", FILE, "--data", DATA, "--plot", picture, "--output", output)
     for words in (
         "24 rows of", "│ soil.cohesion ", "│ soil.tool_friction ", "│ effects.rate_term ", "95 % interval",
-        "What to measure next", "are correlated: -0.9", "RMS error of rows left out of the fit",
+        "are correlated: -0.9",
         "an ambient pressure of 101.3 kPa is taken as known",
     ):  # fmt: skip
         assert words in out.replace("\n", " ")
@@ -394,11 +348,10 @@ def test_tables_and_files(tmp_path):
 
 
 def test_json_is_what_python_gives():
-    done = call("calibrate", FILE, "--data", DATA, "--json", "--loss", "huber")
+    done = call("calibrate", FILE, "--data", DATA, "--json", "--loss", "soft_l1")
     assert (done.status, done.err) == (0, "")
-    found = {u["name"]: u["value"] for u in json.loads(done.out)["unknowns"]}
-    fit = po.calibrate(po.read_problem(FILE), po.read_measurements(DATA), loss="huber")
-    assert found == pytest.approx(fit.values, rel=1e-12)
+    fit = po.calibrate(po.read_problem(FILE), po.read_measurements(DATA), loss="soft_l1")
+    assert json.loads(done.out)["values"] == pytest.approx(fit.values, rel=1e-12)
 
 
 def test_unknowns_of_the_command_line_and_one_measured_by_itself(tmp_path):
@@ -408,13 +361,7 @@ def test_unknowns_of_the_command_line_and_one_measured_by_itself(tmp_path):
     assert "cannot be told apart" in out.replace("\n", " ")
     out = printed("calibrate", FILE, "--data", DATA, *options, "--known", "soil.ambient_pressure=101.3 +- 2 kPa")
     assert "not determined" not in out.lower()
-    few, lines = tmp_path / "few.csv", DATA.read_text(encoding="utf-8").splitlines(keepends=True)
-    for count, unknown, why in (
-        (7, (), "3 folds leave fewer rows than unknowns"),
-        (5, options[:2], "cross-validation needs two"),
-    ):
-        few.write_text("".join(lines[:count]), encoding="utf-8")
-        assert f"No cross-validation: {why}" in printed("calibrate", FILE, "--data", few, *unknown)
+    few = tmp_path / "few.csv"
     few.write_text("scene.tow_speed [km/h], mean_draft [kN]\n3, 1.8\n", encoding="utf-8")
     done = call("calibrate", FILE, "--data", few, *options, "--known", "soil.ambient_pressure=101.3 +- 2 kPa")
     assert (done.status, "few.csv: no sigma is stated, but other sets state theirs" in done.said) == (2, True)
@@ -424,7 +371,6 @@ REFUSED = [
     (("--data", DATA, "--unknown", "soil.cohesion"), "--unknown soil.cohesion: expected KEY=..."),
     (("--data", DATA, "--unknown", "soil.cohesion=5 kPa"), 'like soil.cohesion="1..80 kPa"'),
     (("--data", DATA, "--unknown", "soil.cohesoin=1..80 kPa"), "cannot be an unknown: did you mean 'soil.cohesion"),
-    (("--data", DATA, "--folds", "1"), "folds = 1 must be a whole number from 2 to 24"),
     (("--data", DATA, "--unknown", "soil.cohesion=1..80"), "lower bound of 'soil.cohesion' = \"1\" has no unit"),
     (("--data", DATA, "--known", "soil.cohesion=20 kPa"), "--known soil.cohesion=20 kPa: expected KEY=..."),
     (("--data", DATA, "--known", "soil.cohesion=20 +- 0 kPa"), "sigma = 0 must be above 0"),
@@ -465,13 +411,12 @@ def test_the_shipped_data_are_what_their_script_makes(tmp_path):
 def test_a_loaded_fit_knows_what_was_computed_and_cannot_compute_further(fitted, tmp_path):
     fitted.intervals(0.9)
     again = po.Fit.load(fitted.save(tmp_path / "fit.json"))
-    for level, kind in ((0.9, "profile"), (0.95, "profile"), (0.95, "linearised")):
-        assert again.intervals(level, kind) == fitted.intervals(level, kind)
-    assert again.next_measurements() == fitted.next_measurements()
+    for level in (0.9, 0.95):
+        assert again.intervals(level) == fitted.intervals(level)
     assert again.correlations == fitted.correlations
-    with pytest.raises(po.InputError, match=r"profile intervals of level 0\.8"):
+    with pytest.raises(po.InputError, match=r"intervals of level 0\.8"):
         again.intervals(0.8)
-    for ask in (again.cross_validation, lambda: again.scene, lambda: again.next_measurements([])):
+    for ask in (again.hold_out, lambda: again.scene):
         with pytest.raises(po.InputError, match="this fit comes from a file"):
             ask()
 
@@ -479,7 +424,6 @@ def test_a_loaded_fit_knows_what_was_computed_and_cannot_compute_further(fitted,
 def test_infinite_intervals_are_valid_json(measured, tmp_path):
     names = ("soil.cohesion", "soil.ambient_pressure")
     fit = po.calibrate(steady_scene(), measured, {name: BOUNDS[name] for name in names})
-    assert "measure next" not in str(fit)  # not computed yet
     strict(fit.to_json())
     again = po.Fit.load(fit.save(tmp_path / "open.json"))
     assert again.standard_errors["soil.cohesion"] == math.inf
@@ -488,16 +432,16 @@ def test_infinite_intervals_are_valid_json(measured, tmp_path):
 
 
 def test_pictures(fitted):
-    first, *panels = fitted.plot().axes
-    assert (first.get_xlabel(), panels[1].get_xlabel()) == ("predicted mean draft [kN]", "tow speed [km/h]")
+    first, second = fitted.plot().axes
+    assert (first.get_xlabel(), second.get_xlabel()) == ("predicted mean draft [kN]", "tow speed [km/h]")
     # Every row is a point in every panel.
-    assert [len(axes.lines[0].get_xdata()) for axes in panels] == [len(fitted.rows)] * 3
+    assert [len(axes.containers[0][0].get_xdata()) for axes in (first, second)] == [len(fitted.rows)] * 2
 
 
 def test_a_picture_of_several_results(measured, three):
     radius = po.Measurements("loosened_radius", [0.2, 0.21], sigma=0.01, name="radius")
     first = po.calibrate(steady_scene(), [measured, radius], three).plot().axes[0]
-    assert (first.get_xlabel(), len(first.containers)) == ("predicted, over the largest of its kind", 2)
+    assert (first.get_xlabel(), len(first.containers)) == ("predicted value, over the largest of its kind", 2)
 
 
 # --- predictions of rows held out of a fit: linear regression, 150 synthetic sets, groups, refusals ---

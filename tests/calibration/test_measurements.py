@@ -140,7 +140,7 @@ REFUSED = [
     (("mean_draft", []), {}, "there are no measurements"),
     (("mean_drafts", [1.0]), {"name": "{1}"}, "{1}: 'mean_drafts' is not a measured result: did you mean"),
     (("mean_draft", [1.0, math.nan]), {}, "row 2: mean_draft = nan must be a finite number"),
-    (("mean_draft", [1.0, -1.0]), {}, "row 2: mean_draft = -1 must be at least 0: forces count against the travel"),
+    (("mean_draft", [1.0, -1.0]), {}, "row 2: mean_draft = -1 must be at least 0"),
     (("mean_draft", ["a"]), {}, "'mean_draft' must be a column of numbers"),
     (("mean_draft", [1.0], {"scene.tow_speed": [1.0, 2.0]}), {}, "must have 1 rows, as 'mean_draft' has"),
     (("soil.cohesion", [1.0], {"soil.cohesion": [1.0]}), {}, "both measured and a condition"),
@@ -246,7 +246,7 @@ def test_fitted_runs_are_checked_by_runs_with_an_error_estimate(monkeypatch):
 
 def test_a_run_needs_a_duration():
     data = po.Measurements("mean_draft", [3e3, 3.1e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=10.0, name="drafts")
-    with pytest.raises(po.InputError, match="drafts: mean_draft of this scene needs a run: give its duration"):
+    with pytest.raises(po.InputError, match="drafts: mean_draft of this scene needs a run: the duration is missing"):
         po.calibrate(moving_scene(), data, {"soil.cohesion": (1e3, 80e3)})
     # The steps of a symbolic run are too long for this damper.
     with pytest.raises(po.InputError, match="drafts, row 1: the model has no finite prediction"):

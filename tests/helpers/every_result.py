@@ -69,7 +69,7 @@ EVERY = {
     "LocalOptimum": lambda: optimum().local_optima[0],
     "Rounded": lambda: optimum().rounded(stiffness=[4e4, 6.3e4]),
     "BatchResult": batch,
-    "Fit": lambda: fit().complete(),
+    "Fit": fit,
     "TradeOff": front,
     "AccuracyStudy": lambda: po.study_accuracy(SCENE, 0.1, thin=True, allowance=0.01, derivatives=False),
     "RobustOptimum": robust,

@@ -2,7 +2,6 @@
 
 from plough_opt.studies.calibration.calibrate import Calibration, calibrate
 from plough_opt.studies.calibration.fit import Fit
-from plough_opt.studies.calibration.model import Measurements, read_measurements
-from plough_opt.studies.calibration.quality import Candidate, NextMeasurement
+from plough_opt.studies.calibration.measurements import Measurements, read_measurements
 
-__all__ = ["Calibration", "Candidate", "Fit", "Measurements", "NextMeasurement", "calibrate", "read_measurements"]
+__all__ = ["Calibration", "Fit", "Measurements", "calibrate", "read_measurements"]

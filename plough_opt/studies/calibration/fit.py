@@ -1,24 +1,24 @@
-"""`Fit`, the result of a calibration: unknowns with intervals, rows, tables, picture and files."""
+"""`Fit`, the result of a calibration: unknowns with intervals, rows, tables, picture and files; rows held out of it."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations, cycle
+from itertools import cycle, permutations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from scipy import stats
+from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_choice
-from plough_opt.core.errors import InputError
+from plough_opt.core.checks import check_named, plain_number, whole_number
+from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.expressions import ByValue
 from plough_opt.core.files import COLOURS, figure_with_panels, written
-from plough_opt.core.plain_data import Array, MaybeInfinite, Unsaved
+from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite, Unsaved, to_plain
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.saving import Origin, Saveable, versions
 from plough_opt.core.tables import Grid, Page, Part, data_frame
@@ -26,226 +26,14 @@ from plough_opt.core.units import Display, Unit, display_of
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.calibration.estimate import ERRORS, NOMINAL, Estimate, Undetermined, undetermined
-from plough_opt.studies.calibration.model import Row, result_unit
-from plough_opt.studies.calibration.quality import (
-    Candidate,
-    CrossValidation,
-    Interval,
-    Kind,
-    NextMeasurement,
-    caveats,
-    check_level,
-    cross_validate,
-    held_out,
-    interval,
-    next_measurements,
-)
+from plough_opt.studies.calibration.least_squares import Solution, fitted
+from plough_opt.studies.calibration.measurements import RECORD
+from plough_opt.studies.calibration.model import Model, Rows, Unknown
+from plough_opt.studies.calibration.remarks import AT_BOUND, Undetermined
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-# Largest number of rows in the table of candidates.
-_MOST_CANDIDATES: Final = 6
-
-
-@dataclass(frozen=True)
-class FittedUnknown:
-    """A fitted unknown, SI.
-
-    Attributes:
-        name: its key in a problem file.
-        unit: SI unit.
-        value: fitted value; if the data do not determine the unknown, one of many that fit.
-        standard_error: its standard error; infinite if the data do not determine it.
-        lower: its lower bound.
-        upper: its upper bound.
-        determined: whether the data narrow it further than its bounds.
-    """
-
-    name: str
-    unit: str
-    value: float
-    standard_error: MaybeInfinite
-    lower: float
-    upper: float
-    determined: bool
-
-
-@dataclass(frozen=True)
-class Correlation:
-    """Correlation of the errors of two determined unknowns."""
-
-    first: str
-    second: str
-    value: float
-
-
-@dataclass(frozen=True)
-class KnownInterval:
-    """A computed interval of an unknown, with its level and the requested kind."""
-
-    name: str
-    level: float
-    asked: Kind
-    interval: Interval
-
-
-@dataclass(frozen=True, eq=False)
-class HeldOut(ByValue):
-    """Predictions of rows that were held out of a fit, SI.
-
-    Attributes:
-        title: title of the calibration.
-        fitted: number of rows that were fitted.
-        values: unknown -> value fitted to these.
-        rows: the rows held out; standard errors of predictions that the fitted rows do not determine are infinite.
-        level: level of the prediction intervals.
-        quantile: half width of an interval over the standard deviation of measurement and prediction together.
-        origin: origin of the fit, which gives the units of the file.
-    """
-
-    title: str
-    fitted: int
-    values: Mapping[str, float]
-    rows: tuple[Row, ...]
-    level: float
-    quantile: float
-    origin: Origin
-
-    @property
-    def half_widths(self) -> Array:
-        """Half widths of the prediction intervals; infinite where the fitted rows do not determine a prediction."""
-        return np.array([self.quantile * math.hypot(row.sigma, row.standard_error) for row in self.rows])
-
-    @property
-    def coverage(self) -> tuple[int, int]:
-        """Number of rows whose measured value lies in its prediction interval, and number of finite intervals."""
-        finite = np.isfinite(self.half_widths)
-        inside = np.abs([row.residual for row in self.rows]) <= self.half_widths
-        return int(np.sum(inside & finite)), int(np.sum(finite))
-
-    @property
-    def rms(self) -> dict[str, float]:
-        """Result -> root mean square of its errors."""
-        results = dict.fromkeys(row.result for row in self.rows)
-        return {name: math.sqrt(np.mean([row.residual**2 for row in self.rows if row.result == name]))
-                for name in results}  # fmt: skip
-
-    def plain(self) -> dict[str, Any]:
-        """Return the predictions as plain values for JSON, SI; None stands for what is not determined."""
-        halves = (half if half < math.inf else None for half in self.half_widths.tolist())
-        rows = [{"place": row.place, "observed": row.observed, "predicted": row.predicted, "half_width": half}
-                for row, half in zip(self.rows, halves, strict=True)]  # fmt: skip
-        about = {"fitted": self.fitted, "values": dict(self.values), "level": self.level, "rms": self.rms}
-        return about | {"inside": self.coverage[0], "finite": self.coverage[1], "rows": rows}
-
-    def words(self) -> str:
-        """Return errors and coverage in a sentence."""
-        errors = []
-        for name, rms in self.rms.items():
-            like = [row for row in self.rows if row.result == name]
-            mean = float(np.mean([abs(row.observed) for row in like]))
-            size = self.origin.display(name, like[0].unit, mean).text(rms, 3)
-            errors.append(f"{name} {size}" + (f" ({100.0 * rms / mean:.3g} % of its mean)" if mean else ""))
-        inside, finite = self.coverage
-        open_ended = len(self.rows) - finite
-        more = f"; {open_ended} more depend on what the fitted rows do not determine" if open_ended else ""
-        return (
-            f"Fitted to {self.fitted} rows, RMS error of {len(self.rows)} others: {'; '.join(errors)};"
-            f" {inside} of {finite} lie in their {100 * self.level:g} % prediction intervals{more}."
-        )
-
-    def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw measured over predicted values of the rows held out, with the errors of both.
-
-        Args:
-            target: file to write (.png, .svg, .pdf), or None.
-
-        Raises:
-            InputError: the fitted rows determine no prediction, or the file cannot be written.
-        """
-        rows = [row for row in self.rows if math.isfinite(row.standard_error)]
-        if not rows:
-            raise InputError("the fitted rows determine none of the rows held out: hold out a smaller part")
-        figure, (axes,) = figure_with_panels(1, 1, (7.2, 5.8))
-        _draw_fit(axes, rows, {row.result: _display(row, rows, self.origin) for row in rows})
-        figure.suptitle(f"{self.title}\nrows held out of the fit", fontsize="medium")
-        return written(figure, target)
-
-
-def fitted_unknowns(fit: Estimate) -> tuple[FittedUnknown, ...]:
-    """Return every unknown with its standard error."""
-    errors = np.where(fit.spread.determined, np.sqrt(np.diag(fit.spread.covariance)), np.inf)
-    return tuple(
-        FittedUnknown(u.name, u.unit, float(u.unscaled(y)), float(error * u.slope(y)), u.lower, u.upper, error < np.inf)
-        for u, y, error in zip(fit.unknowns, fit.y.tolist(), errors.tolist(), strict=True)
-    )
-
-
-def correlations_of(fit: Estimate) -> tuple[Correlation, ...]:
-    """Return the correlations of the determined unknowns."""
-    errors, unknowns = np.sqrt(np.diag(fit.spread.covariance)), fit.unknowns
-    return tuple(
-        Correlation(unknowns[i].name, unknowns[j].name, float(fit.spread.covariance[i, j] / (errors[i] * errors[j])))
-        for i, j in combinations(np.flatnonzero(errors > 0.0).tolist(), 2)
-    )
-
-
-def rows_of(fit: Estimate) -> tuple[Row, ...]:
-    """Return every measured row with its prediction."""
-    error = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", fit.slope, fit.spread.covariance, fit.slope), 0.0))
-    columns = (fit.data.observed, fit.predicted, fit.deviation, error, fit.predicted - fit.data.observed)
-    numbers = iter(np.column_stack(columns).tolist())
-    return tuple(
-        Row(m.row(k), m.result, result_unit(m.result).symbol, m.at(k), None if m.time is None else float(m.time[k]),
-            *next(numbers))
-        for m in fit.setup.measured for k in range(m.rows)
-    )  # fmt: skip
-
-
-def unknowns_table(
-    unknowns: Sequence[FittedUnknown], level: float, intervals: Mapping[str, Interval], origin: Origin
-) -> Grid:
-    """Return a table of the unknowns with standard errors, and with intervals if some are given."""
-    between = [f"{100 * level:g} % interval"] if intervals else []
-    table = Grid.of("Calibrated", "unknown", "value", "standard error", *between, "bounds", "", left=("",))
-    for unknown in unknowns:
-        value, error, ends, notes = "not determined", "infinite", "infinite", []
-        if unknown.determined:
-            value, error = _text(origin, unknown, unknown.value), _text(origin, unknown, unknown.standard_error, 3)
-        if interval := intervals.get(unknown.name):
-            if unknown.determined:
-                ends = " to ".join(_text(origin, unknown, end, 4) for end in interval)
-            notes = [f"{side} end is the bound" for side in interval.clipped]
-            notes += ["linearised"] if unknown.determined and interval.kind == "linearised" else []
-        bounds = " to ".join(_text(origin, unknown, end, 3) for end in (unknown.lower, unknown.upper))
-        table.row(unknown.name, value, error, *([ends] if between else []), bounds, "; ".join(notes))
-    return table
-
-
-def next_table(unknowns: Sequence[FittedUnknown], ranking: Sequence[NextMeasurement], origin: Origin) -> Grid:
-    """Return a table of the best candidates with the standard errors of the unknowns after each."""
-    names = [unknown.name.rpartition(".")[2] for unknown in unknowns]
-    title = "What to measure next: standard errors now, and with one more measurement of the same quality"
-    table = Grid.of(title, "measurement", *names, fold=("measurement",))
-    table.row("now", *(_text(origin, unknown, ranking[0].errors[unknown.name][0], 3) for unknown in unknowns))
-    for item in ranking[:_MOST_CANDIDATES]:
-        cells = [_text(origin, unknown, item.errors[unknown.name][1], 3) for unknown in unknowns]
-        table.row(item.candidate.describe(), *cells)
-    return table
-
-
-def _text(origin: Origin, unknown: FittedUnknown, value: float, digits: int = 5) -> str:
-    """Return a value of an unknown as text, in the unit in which all its values are shown."""
-    return origin.display(unknown.name, unknown.unit, unknown.value, unknown.upper).text(value, digits)
-
-
-# Correlations of at least this size are reported.
-_NOTABLE_CORRELATION: Final = 0.5
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -254,25 +42,24 @@ class Fit(Saveable):
 
     Attributes:
         title: title of the calibration.
-        unknowns: the unknowns with values and standard errors.
-        correlations_found: correlations of the errors of determined unknowns, each pair once.
+        unknowns: the unknowns with their bounds.
+        values: unknown -> value, SI; if the data do not determine the unknown, one of many that fit.
+        standard_errors: unknown -> standard error, SI; infinite if the data do not narrow it further than its bounds.
+        correlation: correlations of the errors of the unknowns (p, p); 0 for undetermined ones.
         unidentifiable: combinations of unknowns that the data do not determine.
         rows: the measured rows with their predictions.
         loss: name of the loss.
-        total: sum of the losses.
-        optima: sums of the losses at all distinct local optima.
+        optima: sums of the losses at all distinct local optima, the best first.
         freedom: degrees of freedom: number of rows of weight above 0, minus determined directions.
         scatter: square root of the sum of squared residuals over the degrees of freedom; residuals are relative to the
             stated sigma; if no sigma is stated, to the mean measured value, or to each prediction.
-        stated: whether sigma was stated.
-        errors: model of the errors if it was not: "constant" or "relative".
-        status: "converged", since a fit that did not converge is refused.
+        errors: "stated" by sigma; or their model: "constant", or "relative" to the predictions.
         warnings: warnings about the results.
         seconds: time taken [s].
-        saved_intervals: intervals in a loaded file.
-        saved_next: ranking of further measurements in a loaded file.
+        level: confidence level of the intervals in tables.
+        saved_intervals: level -> unknown -> interval, in a loaded file.
         versions: versions of packages, and the kind of machine.
-        source: the estimate behind the fit; None for a loaded fit.
+        source: what the fit was computed from; None for a loaded fit.
         origin: the question that the fit answers.
 
     Example:
@@ -289,41 +76,31 @@ class Fit(Saveable):
     kind = "calibration"
 
     title: str
-    unknowns: tuple[FittedUnknown, ...]
-    correlations_found: tuple[Correlation, ...]
+    unknowns: tuple[Unknown, ...]
+    values: Mapping[str, float]
+    standard_errors: Mapping[str, MaybeInfinite]
+    correlation: Array
     unidentifiable: tuple[Undetermined, ...]
     rows: tuple[Row, ...]
     loss: str
-    total: float
     optima: tuple[float, ...]
     freedom: int
     scatter: float
-    stated: bool
-    status: str
+    errors: str
     warnings: tuple[str, ...]
     seconds: float = field(compare=False)
-    saved_intervals: tuple[KnownInterval, ...] = ()
-    saved_next: tuple[NextMeasurement, ...] = ()
-    errors: str = "constant"
+    level: float = 0.95
+    saved_intervals: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict, compare=False)
     versions: Mapping[str, str] = field(default_factory=versions)
-    source: Annotated[Estimate | None, Unsaved()] = field(default=None, repr=False, compare=False)
+    source: Annotated[Source | None, Unsaved()] = field(default=None, compare=False)
     origin: Origin = field(default=Origin())
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Unknown -> value, SI."""
-        return {unknown.name: unknown.value for unknown in self.unknowns}
-
-    @property
-    def standard_errors(self) -> dict[str, float]:
-        """Unknown -> standard error, SI; infinite if the data do not determine it."""
-        return {unknown.name: unknown.standard_error for unknown in self.unknowns}
 
     @property
     def correlations(self) -> dict[tuple[str, str], float]:
         """Two determined unknowns -> correlation of their errors, in either order."""
-        pairs = {(c.first, c.second): c.value for c in self.correlations_found}
-        return pairs | {(second, first): value for (first, second), value in pairs.items()}
+        determined = [k for k, name in enumerate(self.values) if self.standard_errors[name] < math.inf]
+        names = [*self.values]
+        return {(names[i], names[j]): float(self.correlation[i, j]) for i, j in permutations(determined, 2)}
 
     @property
     def observed(self) -> Array:
@@ -340,16 +117,16 @@ class Fit(Saveable):
         """Predicted minus observed values, SI."""
         return np.array([row.residual for row in self.rows])
 
-    def intervals(self, level: float = 0.95, kind: Kind = "profile") -> dict[str, Interval]:
-        """Return the confidence interval of every unknown, SI.
+    def intervals(self, level: float = 0.95) -> Mapping[str, Interval]:
+        """Return the confidence interval of every unknown, SI, from the profile likelihood.
+
+        It includes the model's curvature. Quantiles are normal if sigma is stated, and Student's if it is estimated.
 
         Args:
             level: confidence level, between 0 and 1.
-            kind: "profile": from the profile likelihood, which includes the model's curvature; "linearised": standard
-                error times quantile. Quantiles are normal if sigma is stated, and Student's if it is estimated.
 
         Raises:
-            InputError: an invalid level or kind, or intervals that a loaded fit does not contain.
+            InputError: an invalid level, or intervals that a loaded fit does not contain.
 
         Example:
             >>> import plough_opt as po
@@ -359,64 +136,16 @@ class Fit(Saveable):
             >>> bool(wide.lower < narrow.lower < fit.values["soil.cohesion"] < narrow.upper < wide.upper)
             True
         """
-        level = check_level(level)
-        check_choice("kind", kind, ("profile", "linearised"))
-        asked = [known for known in self._known if (known.level, known.asked) == (level, kind)]
-        if not asked:
-            estimate = self._source_to(f"compute {kind} intervals of level {level:g} of")
-            intervals = ((u.name, interval(estimate, k, level, kind)) for k, u in enumerate(estimate.unknowns))
-            asked = [KnownInterval(name, level, kind, found) for name, found in intervals]
-            self._known.extend(asked)
-        return {known.name: known.interval for known in asked}
+        name = str(plain_number("level", level, above=0.0, below=1.0, why="0.95 is usual"))
+        if name not in self._intervals:
+            fit = self._source_to(f"compute intervals of level {level:g} of").solution
+            self._intervals[name] = {u.name: _interval(fit, u, k, level) for k, u in enumerate(self.unknowns)}
+        return self._intervals[name]
 
-    def next_measurements(self, candidates: Sequence[Candidate] | None = None) -> tuple[NextMeasurement, ...]:
-        """Return possible further measurements with their gain of information, the best first.
-
-        Args:
-            candidates: measurements to rank; default: other wedge angles, heights, speeds and depths, a tool of known
-                friction, the loosened radius, and a direct measurement of each unknown.
-
-        Raises:
-            InputError: a candidate of another type, or candidates for a loaded fit, which only has a saved ranking.
-
-        Example:
-            >>> import plough_opt as po
-            >>> data = po.read_measurements("problems/synthetic_draft.csv")
-            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
-            >>> fast = po.Candidate("mean_draft", {"scene.tow_speed": 4.0})
-            >>> [found.candidate == fast for found in fit.next_measurements([fast])]
-            [True]
-        """
-        if candidates is not None:
-            return next_measurements(self._source_to("rank other candidates for"), candidates)
-        return self._ranking
-
-    @property
-    def next_measurement(self) -> NextMeasurement:
-        """The candidate with the largest gain of information."""
-        return self.next_measurements()[0]
-
-    def cross_validation(self, folds: int | None = None, *, seed: int = 1) -> CrossValidation:
-        """Return how well the model predicts rows that are left out of the fit.
-
-        Args:
-            folds: number of parts, each left out in turn; default: one for each row, 20 for over 60 rows, and 5 if the
-                rows need runs.
-            seed: seed of the shuffling.
-
-        Raises:
-            InputError: an invalid number of folds, or a loaded fit.
-            NotConverged: a fit without some of the rows did not converge.
-
-        Example:
-            >>> import plough_opt as po
-            >>> data = po.read_measurements("problems/synthetic_draft.csv")
-            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
-            >>> found = fit.cross_validation(folds=4)
-            >>> found.rms["mean_draft"] > found.rms_fitted["mean_draft"]
-            True
-        """
-        return cross_validate(self._source_to("cross-validate"), folds, seed)
+    @cached_property
+    def _intervals(self) -> dict[str, Mapping[str, Interval]]:
+        """Intervals that were loaded, or computed so far."""
+        return dict(self.saved_intervals)
 
     def hold_out(self, part: float = 1 / 3, *, by: str | None = None, seed: int = 1, level: float = 0.95) -> HeldOut:
         """Fit to a part of the rows anew, and return how well this predicts the others.
@@ -439,25 +168,21 @@ class Fit(Saveable):
             >>> fit.hold_out(1 / 3, by="scene.tow_speed").fitted
             16
         """
-        level = check_level(level)
-        whole, held, errors = held_out(self._source_to("hold rows out of"), part, by, seed)
-        rows = rows_of(whole)
-        predicted = tuple(replace(rows[k], standard_error=float(e)) for k, e in zip(held, errors, strict=True))
-        values = {unknown.name: unknown.value for unknown in fitted_unknowns(whole)}
-        fitted = whole.data.count - len(held)
-        return HeldOut(self.title, fitted, values, predicted, level, whole.quantile(level), self.origin)
+        level = plain_number("level", level, above=0.0, below=1.0, why="0.95 is usual")
+        fit, rows = self._source_to("hold rows out of").without(part, by, seed)
+        values = {u.name: float(u.unscaled(fit.y[k])) for k, u in enumerate(self.unknowns)}
+        halves = np.array([fit.quantile(level) * math.hypot(row.sigma, row.standard_error) for row in rows])
+        count = int(np.sum(fit.problem.counted))
+        return HeldOut(self.title, count, values, tuple(rows), level, halves, self.origin)
 
     @property
     def scene(self) -> Scene:
         """The scene with the calibrated values."""
-        setup = self._source_to("take the scene of").setup
-        scene = setup.model.scene(self.values)
-        properties = [name.removeprefix("soil.") for name in self.values if name.startswith("soil.")]
-        if not properties:
-            return scene
-        files = ", ".join(dict.fromkeys(m.name for m in setup.measured))
-        source = f"{', '.join(properties)} from {files}; {scene.soil.source}"
-        return replace(scene, soil=replace(scene.soil, name=f"{scene.soil.name}, calibrated", source=source))
+        source = self._source_to("take the scene of")
+        scene = source.model.scene(self.values)
+        files = ", ".join(dict.fromkeys(rows.measured.name for rows in source.sets))
+        origin = f"{', '.join(self.values)} from {files}; {scene.soil.source}"
+        return replace(scene, soil=replace(scene.soil, name=f"{scene.soil.name}, calibrated", source=origin))
 
     @property
     def soil(self) -> Soil:
@@ -465,10 +190,7 @@ class Fit(Saveable):
         return self.scene.soil
 
     def page(self) -> Page:
-        """Return the unknowns, the undetermined combinations, the next measurements, and the scatter about the fit.
-
-        Intervals and the ranking of further measurements are costly, and are shown only if the fit holds them: as one
-        that `complete` returned or a file holds.
+        """Return the unknowns with their intervals, the undetermined combinations, and the scatter about the fit.
 
         Example:
             >>> import plough_opt as po
@@ -477,23 +199,32 @@ class Fit(Saveable):
             >>> [row[0] for row in fit.page().parts[0].rows]
             ['soil.cohesion', 'soil.tool_friction', 'effects.rate_term']
         """
-        profiles = [item for item in self.saved_intervals if item.asked == "profile"]
-        level = profiles[-1].level if profiles else 0.0
-        intervals = {item.name: item.interval for item in profiles if item.level == level}
-        shown: list[Part] = [unknowns_table(self.unknowns, level, intervals, self.origin)]
-        correlated = [c for c in self.correlations_found if abs(c.value) >= _NOTABLE_CORRELATION]
-        for c in sorted(correlated, key=lambda c: -abs(c.value)):
-            shown.append(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.")
-        shown += [f"Not determined: {item.words}." for item in self.unidentifiable]
-        if self.saved_next:
-            shown.append(next_table(self.unknowns, self.saved_next, self.origin))
+        pairs = sorted(self.correlations.items(), key=lambda pair: -abs(pair[1]))[::2]
+        correlated = [f"Errors of {first} and {second} are correlated: {size:+.3f}."
+                      for (first, second), size in pairs if abs(size) >= 0.5]  # fmt: skip
         relative = "of the predicted values" if self.errors == "relative" else "of the mean measured value"
-        kind = "times the stated sigma" if self.stated else relative
-        shown.append(f"Scatter about the fit: {self.scatter:.3g} {kind}, {self.freedom} degrees of freedom.")
-        footer = f"Converged: no step lowers the loss; {self.seconds:.2f} s"
+        kind = "times the stated sigma" if self.errors == "stated" else relative
+        scatter = f"Scatter about the fit: {self.scatter:.3g} {kind}, {self.freedom} degrees of freedom."
+        open_ended = [f"Not determined: {item.words}." for item in self.unidentifiable]
+        shown: list[Part] = [self._table(), *correlated, *open_ended, scatter]
         files = ", ".join(dict.fromkeys(row.place.partition(",")[0] for row in self.rows))
         heading = f"{len(self.unknowns)} unknowns from {len(self.rows)} rows of {files}"
+        footer = f"Converged: no step lowers the loss; {self.seconds:.2f} s"
         return Page(heading, tuple(shown), self.warnings, footer, self.title)
+
+    def _table(self) -> Grid:
+        """Return the unknowns with standard errors and intervals."""
+        heading = f"{100 * self.level:g} % interval"
+        table = Grid.of("Calibrated", "unknown", "value", "standard error", heading, "bounds", "", left=("",))
+        for u in self.unknowns:
+            value, error, own = self.values[u.name], self.standard_errors[u.name], self.intervals(self.level)[u.name]
+            text = self.origin.display(u.name, u.unit, value, u.upper).text
+            cells, bounds = ("not determined", "infinite", "infinite"), f"{text(u.lower, 3)} to {text(u.upper, 3)}"
+            if error < math.inf:
+                cells = text(value), text(error, 3), f"{text(own.lower, 4)} to {text(own.upper, 4)}"
+            notes = [f"{side} end is the bound" for side in own.clipped] + ["linearised"] * (own.kind != "profile")
+            table.row(u.name, *cells, bounds, "; ".join(notes))
+        return table
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each measured row with its prediction, SI; a column holds the units.
@@ -513,7 +244,7 @@ class Fit(Saveable):
         return data_frame(columns, {row.result: row.unit for row in self.rows})
 
     def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw measured against predicted values, the residuals, and their distribution.
+        """Draw measured against predicted values, and the residuals over what varies most.
 
         Args:
             target: file to write (.png, .svg, .pdf), or None.
@@ -526,12 +257,12 @@ class Fit(Saveable):
             >>> data = po.read_measurements("problems/synthetic_draft.csv")
             >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
             >>> len(fit.plot().axes)
-            4
+            2
         """
-        return written(figure_of(self.title, self.rows, self.origin), target)
+        return written(drawn(self.title, self.rows, self.origin), target)
 
     def to_json(self, page: Page | None = None) -> str:
-        """Return the fit as JSON, with its intervals and the ranking of measurements: see `Saveable.to_json`.
+        """Return the fit as JSON, with its intervals: see `Saveable.to_json`.
 
         Example:
             >>> import json
@@ -541,165 +272,269 @@ class Fit(Saveable):
             >>> json.loads(fit.to_json())["kind"]
             'calibration'
         """
-        complete = self if self.source is None else self.complete()
-        return super(Fit, complete).to_json(page)
+        for level in (0.95, self.level) if self.source is not None else ():
+            self.intervals(level)
+        return super(Fit, replace(self, saved_intervals=self._intervals)).to_json(page or self.shown_page())
 
-    def complete(self, level: float = 0.95) -> Fit:
-        """Return the fit with its intervals and the ranking of measurements, which its tables then show.
-
-        Args:
-            level: level of the intervals in the tables; those of level 0.95 are always added.
-
-        Raises:
-            InputError: an invalid level, or a loaded fit that does not contain it.
-
-        Example:
-            >>> import plough_opt as po
-            >>> data = po.read_measurements("problems/synthetic_draft.csv")
-            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
-            >>> len(fit.complete().page().parts) > len(fit.page().parts)
-            True
-        """
-        for kind in ("linearised", "profile"):
-            self.intervals(0.95, kind)
-        self.intervals(level)
-        # Tables show the last profile intervals.
-        last = sorted(self._known, key=lambda known: (known.level, known.asked) == (level, "profile"))
-        return replace(self, saved_intervals=tuple(last), saved_next=self.next_measurements())
-
-    @cached_property
-    def _known(self) -> list[KnownInterval]:
-        """Intervals that were loaded, or computed so far."""
-        return [*self.saved_intervals]
-
-    @cached_property
-    def _ranking(self) -> tuple[NextMeasurement, ...]:
-        """The ranking of candidates that was loaded, or is computed now."""
-        return self.saved_next or (() if self.source is None else next_measurements(self.source))
-
-    def _source_to(self, verb: str) -> Estimate:
-        """Return the estimate behind the fit; raise InputError that says what a loaded fit cannot do."""
+    def _source_to(self, verb: str) -> Source:
+        """Return what the fit was computed from; raise InputError that says what a loaded fit cannot do."""
         if self.source is None:
             raise InputError(f"this fit comes from a file: calibrate again to {verb} it")
         return self.source
 
 
-def reported(title: str, estimate: Estimate, started: float) -> Fit:
-    """Return the fit of an estimate; ``started`` is the value of `time.perf_counter` at its beginning."""
-    data = estimate.setup.data.at(estimate.predicted)
-    unscaled = data.weights * (estimate.predicted - estimate.data.observed)
-    scatter = float(np.sqrt(np.sum(unscaled**2) / max(estimate.freedom, 1)))
-    return Fit(
-        title=title,
-        unknowns=fitted_unknowns(estimate),
-        correlations_found=correlations_of(estimate),
-        unidentifiable=undetermined(estimate.unknowns, estimate.y, estimate.spread),
-        rows=rows_of(estimate),
-        loss=estimate.setup.problem.loss.name,
-        total=estimate.best.loss,
-        optima=estimate.optima,
-        freedom=estimate.freedom,
-        scatter=scatter if data.stated else NOMINAL * scatter,
-        stated=data.stated,
-        errors=ERRORS[data.relative],
-        status=estimate.best.status,
-        warnings=caveats(estimate),
-        seconds=time.perf_counter() - started,
-        source=estimate,
-    )
+@dataclass(frozen=True)
+class Interval:
+    """A confidence interval of one unknown, SI.
+
+    Attributes:
+        lower: its lower end; minus infinity if the data do not determine the unknown.
+        upper: its upper end.
+        clipped: which ends ("lower", "upper") are bounds of the unknown, because the data do not exclude the bounds.
+        kind: "profile"; or "linearised", the value plus and minus quantile times standard error, if the interval is too
+            short for the two to differ, or if the profile could not be computed.
+    """
+
+    lower: IntervalEnd
+    upper: IntervalEnd
+    clipped: tuple[str, ...] = ()
+    kind: str = "profile"
+
+    def __contains__(self, value: float) -> bool:
+        return self.lower <= value <= self.upper
+
+    def __iter__(self) -> Iterator[float]:
+        return iter((self.lower, self.upper))
 
 
-_MUTED: Final = "#8A8A8A"
+def _interval(fit: Solution, unknown: Unknown, k: int, level: float) -> Interval:
+    """Return the interval of unknown number k."""
+    if fit.errors[k] == np.inf:
+        return Interval(-np.inf, np.inf)
+    reach, y, kind = fit.quantile(level) * float(fit.errors[k]), float(fit.y[k]), "linearised"
+    low, high = y - reach, y + reach
+    if reach > 1e-6:  # the loss is quadratic over a shorter interval
+        with suppress(NotConverged):
+            (low, high), kind = fit.profile(k, level), "profile"
+    at_lower, at_upper = low <= AT_BOUND, high >= 1.0 - AT_BOUND
+    lower = unknown.lower if at_lower else float(unknown.unscaled(low))
+    upper = unknown.upper if at_upper else float(unknown.unscaled(high))
+    return Interval(lower, upper, ("lower",) * at_lower + ("upper",) * at_upper, kind)
 
 
-def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
-    """Return four panels: measured against predicted values, residuals over both axes, and quantiles of residuals.
+@dataclass(frozen=True)
+class Row:
+    """A measured row with its prediction, SI.
 
-    Args:
-        title: title of the picture.
-        rows: the measured rows with their predictions.
+    Attributes:
+        place: file and line, or set and row.
+        result: the measured result.
+        unit: its unit.
+        conditions: conditions of the row by key; of a record also its "time" [s].
+        observed: measured value.
+        predicted: fitted value.
+        sigma: standard deviation of the measurement, stated or estimated; infinite for a row of weight 0.
+        standard_error: standard error of the prediction; infinite where it depends on what the data do not determine.
+        residual: predicted minus observed value.
+    """
+
+    place: str
+    result: str
+    unit: str
+    conditions: Mapping[str, float]
+    observed: float
+    predicted: float
+    sigma: MaybeInfinite
+    standard_error: MaybeInfinite
+    residual: float
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a fit was computed from: the model, the sets of measurements, and the solution."""
+
+    model: Model
+    sets: tuple[Rows, ...]
+    solution: Solution
+
+    def rows(self, fit: Solution, weights: Array) -> tuple[Row, ...]:
+        """Return every measured row with its prediction by a fit."""
+        within, elsewhere = fit.prediction_errors()
+        observed, deviation = fit.problem.observed, fit.deviation(weights)
+        # There is no error where undetermined directions change a prediction by a notable part of its deviation.
+        errors = np.where(elsewhere > 0.1 * deviation, np.inf, within)
+        numbers = np.column_stack([observed, fit.predicted, deviation, errors, fit.predicted - observed]).tolist()
+        measured = [(rows.measured, k) for rows in self.sets for k in range(len(rows.measured.values))]
+        return tuple(
+            Row(
+                m.row(k),
+                m.result,
+                m.unit.symbol,
+                m.at(k) | ({} if m.time is None else {"time": float(m.time[k])}),
+                *own,
+            )
+            for (m, k), own in zip(measured, numbers, strict=True)
+        )
+
+    def without(self, part: float, by: str | None, seed: int) -> tuple[Solution, list[Row]]:
+        """Return the fit to a part of the rows, and what it predicts of the others.
+
+        Raises:
+            InputError: no such column, or a part that leaves too few rows on either side.
+            NotConverged: the fit did not converge.
+        """
+        groups, asked = self._groups(by), self.solution.asked
+        share = plain_number("the part of the rows to hold out", part, above=0.0, below=1.0, why="1/3 is usual")
+        record = by is None and any(rows.measured.result == RECORD for rows in self.sets)
+        # Of a record the last rows are held out, because errors of neighbours are correlated.
+        shuffled = np.random.default_rng(whole_number("seed", seed)).permutation(len(groups))
+        order = np.arange(len(groups)) if record else shuffled
+        held = np.sort(np.concatenate([groups[k] for k in order[-max(1, round(share * len(groups))) :]]))
+        weights, unknowns = asked.weights.copy(), len(asked.guess)
+        weights[held] = 0.0
+        if np.sum(weights > 0.0) < asked.least_rows:
+            few = f"holding out {len(held)} rows leaves fewer than the {asked.least_rows} that {unknowns} unknowns need"
+            raise InputError(f"{few}: hold out a smaller part, or measure more")
+        # The other rows choose their own starts, so that nothing of the rows held out enters.
+        fit = fitted(replace(asked, weights=weights), starts=4)
+        whole, counted = asked.over(fit.predicted).weights, weights > 0.0
+        # The loss soft_l1 has divided all weights by the scale of the residuals.
+        rows = self.rows(fit, whole * np.median(fit.problem.weights[counted] / whole[counted]))
+        return fit, [rows[k] for k in held]
+
+    def _groups(self, by: str | None) -> list[NDArray[np.intp]]:
+        """Return the rows that are held out together: single rows, or those with one value in a column.
+
+        Neither rows of weight 0 nor rows that measure an unknown directly are among them.
+        """
+        measured = [rows.measured for rows in self.sets]
+        direct = np.concatenate([np.full(len(m.values), m.direct) for m in measured])
+        order = np.flatnonzero(~direct & self.solution.problem.counted)
+        if by is None:
+            return [order[k : k + 1] for k in range(len(order))]
+        check_named("{} is not a column of the data", by, dict.fromkeys(key for m in measured for key in m.conditions))
+        values = np.concatenate([m.conditions.get(by, np.full(len(m.values), np.nan)) for m in measured])[order]
+        distinct = np.unique(values[np.isfinite(values)])
+        if len(distinct) < 2:
+            raise InputError(f"'{by}' has one value in all rows: hold out by a column that varies, or by rows")
+        return [order[values == value] for value in distinct]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut(ByValue):
+    """Predictions of rows that were held out of a fit, SI.
+
+    Attributes:
+        title: title of the calibration.
+        fitted: number of rows that were fitted.
+        values: unknown -> value fitted to these.
+        rows: the rows held out; standard errors of predictions that the fitted rows do not determine are infinite.
+        level: level of the prediction intervals.
+        half_widths: half widths of the prediction intervals; infinite where the fitted rows do not determine them.
         origin: origin of the fit, which gives the units of the file.
     """
-    counted = [row for row in rows if math.isfinite(row.sigma) and row.sigma > 0.0]
-    kinds = {row.result: _display(row, counted, origin) for row in counted}
-    figure, (fit, over_predicted, over_varied, quantiles) = figure_with_panels(4, 2, (5.5, 4.2))
-    _draw_fit(fit, counted, kinds)
-    predicted = [row.predicted / kinds[row.result].factor for row in counted]
-    _draw_residuals(over_predicted, counted, kinds, predicted, _predicted_label(kinds))
-    shown, values, label = _varied(counted, origin)
-    _draw_residuals(over_varied, shown, kinds, values, label)
-    (theory, ordered), _ = stats.probplot([_standardised(row) for row in counted])
-    quantiles.plot(theory, ordered, "o", markersize=4, color=COLOURS[0])
-    _draw_diagonal(quantiles, 0.0, "normal")
-    quantiles.set(xlabel="normal quantile", ylabel="(predicted - measured) / standard error, ordered")
+
+    title: str
+    fitted: int
+    values: Mapping[str, float]
+    rows: tuple[Row, ...]
+    level: float
+    half_widths: Array
+    origin: Origin
+
+    @property
+    def coverage(self) -> tuple[int, int]:
+        """Number of rows whose measured value lies in its prediction interval, and number of finite intervals."""
+        finite = np.isfinite(self.half_widths)
+        inside = np.abs([row.residual for row in self.rows]) <= self.half_widths
+        return int(np.sum(inside & finite)), int(np.sum(finite))
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """Result -> root mean square of its errors."""
+        results = dict.fromkeys(row.result for row in self.rows)
+        errors = {name: [row.residual for row in self.rows if row.result == name] for name in results}
+        return {name: float(np.sqrt(np.mean(np.square(own)))) for name, own in errors.items()}
+
+    def plain(self) -> dict[str, Any]:
+        """Return the predictions as plain values for JSON, SI; infinite half widths as "Infinity"."""
+        more = {"rms": self.rms, "inside": self.coverage[0], "finite": self.coverage[1]}
+        plain: dict[str, Any] = to_plain(replace(self, origin=Origin()), HeldOut)
+        return plain | more
+
+    def words(self) -> str:
+        """Return errors and coverage in a sentence."""
+        errors = []
+        for name, rms in self.rms.items():
+            like = [row for row in self.rows if row.result == name]
+            mean = float(np.mean([abs(row.observed) for row in like]))
+            size = self.origin.display(name, like[0].unit, mean).text(rms, 3)
+            errors.append(f"{name} {size} ({100.0 * rms / mean:.3g} % of its mean)" if mean else f"{name} {size}")
+        inside, finite = self.coverage
+        hits = f"{inside} of {finite} lie in their {100 * self.level:g} % prediction intervals"
+        more = len(self.rows) - finite
+        open_ended = f"; {more} more depend on what the fitted rows do not determine" if more else ""
+        sizes = f"Fitted to {self.fitted} rows, RMS error of {len(self.rows)} others: {'; '.join(errors)}"
+        return f"{sizes}; {hits}{open_ended}."
+
+    def plot(self, target: str | Path | None = None) -> Figure:
+        """Draw measured over predicted values of the rows held out, with the errors of both.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), or None.
+
+        Raises:
+            InputError: the fitted rows determine no prediction, or the file cannot be written.
+        """
+        rows = [row for row in self.rows if math.isfinite(row.standard_error)]
+        if not rows:
+            raise InputError("the fitted rows determine none of the rows held out: hold out a smaller part")
+        return written(drawn(f"{self.title}\nrows held out of the fit", rows, self.origin), target)
+
+
+def drawn(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
+    """Draw measured against predicted values with errors, and standardised residuals over what varies.
+
+    Several results are each divided by their largest value.
+    """
+    rows = [row for row in rows if math.isfinite(row.sigma)]
+    figure, (fit, over) = figure_with_panels(2, 2, (5.5, 4.2))
+    results, (places, label) = dict.fromkeys(row.result for row in rows), _varied(rows, origin)
+    for result, colour in zip(results, cycle(COLOURS)):
+        like = [k for k, row in enumerate(rows) if row.result == result]
+        numbers = [
+            (r.predicted, r.observed, r.sigma, min(r.standard_error, r.sigma)) for r in map(rows.__getitem__, like)
+        ]
+        predicted, observed, sigma, error = np.array(numbers).T
+        size = float(np.max(np.abs(predicted)))
+        unit = origin.display(result, rows[like[0]].unit, size) if len(results) == 1 else Display("", size)
+        style: dict[str, Any] = {"fmt": "o", "markersize": 4, "linewidth": 0.8, "color": colour}
+        style["label"] = f"{called(result)}, n = {len(like)}"
+        x, y, xerr, yerr = np.array([predicted, observed, 1.96 * error, 1.96 * sigma]) / unit.factor
+        fit.errorbar(x, y, xerr=xerr, yerr=yerr, **style)
+        over.errorbar(places[like], (predicted - observed) / sigma, **style)
+    name = unit.heading(called(result)) if len(results) == 1 else "value, over the largest of its kind"
+    fit.axline((1.0, 1.0), slope=1.0, color="black", linewidth=0.9, label="measured = predicted")
+    fit.set(xlabel=f"predicted {name}", ylabel=f"measured {name}", title="bars: 95 % of the errors of both")
+    for line in (-1.96, 0.0, 1.96):
+        over.axhline(line, color="gray", linewidth=0.9, linestyle="--" if line else "-")
+    over.set(xlabel=label, ylabel="(predicted - measured) / standard error", title="dashes: 95 % of normal errors")
+    for axes in (fit, over):
+        axes.grid(alpha=0.25)
+        axes.legend(fontsize="small")
     figure.suptitle(title)
     return figure
 
 
-def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display]) -> None:
-    """Draw measured over predicted values with errors; several results are each divided by their largest value."""
-    for (result, display), colour in zip(kinds.items(), cycle(COLOURS)):
-        like = [(row.predicted, row.observed, row.sigma, row.standard_error) for row in rows if row.result == result]
-        predicted, observed, sigma, error = np.array(like).T / display.factor
-        axes.errorbar(predicted, observed, yerr=1.96 * sigma, xerr=1.96 * error, fmt="o", markersize=4, linewidth=0.8,
-                      color=colour, label=f"{called(result)}, n = {len(like)}")  # fmt: skip
-    _draw_diagonal(axes, float(predicted[0]), "measured = predicted")
-    axes.set(xlabel=_predicted_label(kinds), ylabel=_predicted_label(kinds).replace("predicted", "measured"))
-    axes.set_title("bars: 95 % of the measuring error; across: of the prediction", fontsize="small")
-
-
-def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display], places: Sequence[float],
-                    label: str) -> None:  # fmt: skip
-    """Draw the standardised residuals over a coordinate of the rows."""
-    for result, colour in zip(kinds, cycle(COLOURS)):
-        pairs = [(place, _standardised(row)) for place, row in zip(places, rows, strict=True) if row.result == result]
-        axes.plot(*zip(*pairs, strict=True), "o", markersize=4, color=colour, label=called(result))
-    axes.axhline(0.0, color="black", linewidth=0.9)
-    for size, name in ((-1.96, None), (1.96, "95 % of normal errors: ±1.96")):
-        axes.axhline(size, color=_MUTED, linewidth=0.9, linestyle="--", label=name)
-    axes.legend(fontsize="x-small", loc="upper right")
-    axes.set(xlabel=label, ylabel="(predicted - measured) / standard error")
-    axes.grid(alpha=0.25)
-
-
-def _draw_diagonal(axes: Axes, place: float, label: str) -> None:
-    """Draw the diagonal of equal values, through a given point on it."""
-    axes.axline((place, place), slope=1.0, color="black", linewidth=0.9, label=label)
-    axes.grid(alpha=0.25)
-    axes.legend(fontsize="small")
-
-
-def _standardised(row: Row) -> float:
-    return row.residual / row.sigma
-
-
-def _display(like: Row, rows: Sequence[Row], origin: Origin) -> Display:
-    """Return the unit in which a result is drawn; if there are several results, its largest value is the unit."""
-    sizes = [abs(row.predicted) for row in rows if row.result == like.result]
-    several = len({row.result for row in rows}) > 1
-    return Display("", max(sizes)) if several else origin.display(like.result, like.unit, *sizes)
-
-
-def _predicted_label(kinds: Mapping[str, Display]) -> str:
-    if len(kinds) > 1:
-        return "predicted, over the largest of its kind"
-    ((result, display),) = kinds.items()
-    return f"predicted {display.heading(called(result))}"
-
-
-def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Sequence[Row], Sequence[float], str]:
-    """Return the rows, a coordinate of each, and its label: time or speed if it varies, else the most varied one."""
-    places = [row.conditions if row.time is None else {"time": row.time, **row.conditions} for row in rows]
-    keys = dict.fromkeys(key for place in places for key in place)
-    counts = {key: len({place[key] for place in places if key in place}) for key in keys}
+def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Array, str]:
+    """Return a coordinate of each row, and its label: time or speed if it varies, else the most varied condition."""
+    keys = dict.fromkeys(key for row in rows for key in row.conditions)
+    counts = {key: len({row.conditions.get(key) for row in rows}) for key in keys}
     preferred = [key for key in ("time", "scene.tow_speed") if counts.get(key, 0) > 1]
     name = preferred[0] if preferred else max(counts, key=counts.__getitem__, default="")
     if not name:
-        return rows, [float(k) for k in range(1, len(rows) + 1)], "number of the row"
-    display = Display("s", 1.0)
-    if name != "time":
-        usual = f"1 {EVERY[name].shown or EVERY[name].unit}".rstrip()
-        display = origin.displays.get(name) or display_of(usual, Unit(EVERY[name].unit))
-    having = [k for k, place in enumerate(places) if name in place]
-    values = [places[k][name] / display.factor for k in having]
-    return [rows[k] for k in having], values, display.heading(called(name))
+        return np.arange(1.0, len(rows) + 1.0), "number of the row"
+    unit, usual = ("s", "s") if name == "time" else (EVERY[name].unit, EVERY[name].shown or EVERY[name].unit)
+    display = origin.displays.get(name) or display_of(f"1 {usual}".rstrip(), Unit(unit))
+    values = np.array([row.conditions.get(name, math.nan) for row in rows])
+    return values / display.factor, display.heading(called(name))

@@ -1,0 +1,317 @@
+"""Least squares between bounds with exact slopes: the best fit, its errors, what is not determined, and profiles."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+from scipy.stats import qmc
+
+from plough_opt.core.errors import NotConverged
+from plough_opt.core.plain_data import Array
+
+NOMINAL: Final = 0.01
+"""Nominal standard deviation of an error, relative to the mean measured or each predicted value, without sigma."""
+SOFT_L1: Final = 1.287
+"""Residual [standard deviations] beyond which soft_l1 counts less than squares; it gives 95 % of the efficiency of
+squares if the errors are normal."""
+UNIFORM: Final = 12.0**-0.5
+"""Standard deviation of a number that is known only to lie between 0 and 1: a uniform distribution."""
+
+# Near rounding: the loss is flat at its optimum, so that half the digits of the unknowns suffice for it.
+_TOLERANCES: Final = {"ftol": 1e-11, "xtol": 1e-9, "gtol": 1e-11, "max_nfev": 200}
+# Root of the weight of a ridge term that draws undetermined unknowns to the guess. The weight is a hundredth of the
+# information in the bounds themselves, so it moves determined unknowns by less than a hundredth of their errors.
+_RIDGE: Final = 0.1 / UNIFORM
+# Least scale of residuals relative to the nominal one per cent: runs predict to 1e-8, so less is not scatter of data.
+_LEAST_SCALE: Final = 1e-6
+
+
+class Predictions:
+    """Predictions and slopes as a function of the scaled unknowns; those at the last point are remembered."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self.closed, self._function = function.is_a("SXFunction"), function
+        self._last: tuple[bytes, Array, Array] = (b"", np.zeros(0), np.zeros(0))
+
+    def __call__(self, y: Array) -> tuple[Array, Array]:
+        """Return the predictions (n) and their Jacobian (n, p)."""
+        if self._last[0] != y.tobytes():
+            values, slopes = map(np.asarray, self._function(y))
+            self._last = y.tobytes(), values.ravel(), slopes.reshape(values.size, y.size)
+        return self._last[1], self._last[2]
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Observed values with weights, and the predictions to fit to them over scaled unknowns between 0 and 1.
+
+    Attributes:
+        predictions: scaled unknowns -> predictions (n) and slopes (n, p).
+        guess: scaled unknowns from which the search starts (p).
+        observed: measured values (n), SI.
+        weights: 1/sigma (n), or relative weights if sigma is unknown; 0 leaves a row out.
+        stated: whether sigma is stated.
+        relative: whether the errors are proportional to the predictions, so that weights are to be divided by these.
+        robust: whether the loss is soft_l1.
+    """
+
+    predictions: Predictions
+    guess: Array
+    observed: Array
+    weights: Array
+    stated: bool
+    relative: bool
+    robust: bool
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Mask of the rows with a weight above 0."""
+        return self.weights > 0.0
+
+    @property
+    def least_rows(self) -> int:
+        """Number of rows that the unknowns need: one more if the scatter is estimated too."""
+        return len(self.guess) + (0 if self.stated and not self.robust else 1)
+
+    def over(self, predicted: Array) -> "LeastSquares":
+        """Return the problem with the weights that belong to predictions, where the errors are proportional to them."""
+        size = np.abs(predicted)
+        # A prediction below a thousandth of the largest has the error of that, so that none has an error of 0.
+        least = 1e-3 * float(np.max(size)) or 1.0
+        return replace(self, weights=self.weights / np.maximum(size, least)) if self.relative else self
+
+    def scaled(self, y: Array) -> "LeastSquares":
+        """Return the problem with the weights of a fit: over its predictions, and for soft_l1 over the scatter."""
+        sized = self.over(self.predictions(y)[0])
+        if not self.robust:
+            return sized
+        size = np.abs(sized.residuals(y))[self.counted]
+        freedom = max(len(size) - len(y), 1)
+        # The median of the absolute residuals, and its part of a normal distribution's standard deviation.
+        scale = float(np.median(size) / stats.norm.ppf(0.75) * (len(size) / freedom) ** 0.5)
+        return replace(sized, weights=sized.weights / max(scale, _LEAST_SCALE))
+
+    def residuals(self, y: Array) -> Array:
+        """Return predicted minus observed values times weights (n)."""
+        return np.asarray(self.weights * (self.predictions(y)[0] - self.observed))
+
+    def slopes(self, y: Array) -> Array:
+        """Return the derivatives of the residuals (n, p)."""
+        return np.asarray(self.weights[:, None] * self.predictions(y)[1])
+
+    def loss(self, y: Array) -> float:
+        """Return the sum of the losses of the residuals."""
+        r = self.residuals(y)
+        return float(np.sum(SOFT_L1**2 * (np.hypot(1.0, r / SOFT_L1) - 1.0) if self.robust else r**2 / 2.0))
+
+    def descend(self, start: Array, held: int = -1, ridge: float = 0.0) -> tuple[Array, float]:
+        """Return the optimum reached from a start, and its loss; infinite if the search does not converge.
+
+        Args:
+            start: scaled unknowns.
+            held: number of an unknown that stays at its start.
+            ridge: root of the weight with which unknowns are drawn to the guess.
+        """
+        y, free = start.copy(), np.arange(len(start)) != held
+
+        def residuals(x: Array) -> Array:
+            y[free] = x
+            # NaN makes the solver shorten its step.
+            r = self.residuals(y) if np.all(np.isfinite(self.slopes(y))) else np.full(len(self.weights), np.nan)
+            return np.concatenate([r, ridge * (y - self.guess)])
+
+        def slopes(x: Array) -> Array:
+            y[free] = x
+            return np.vstack([self.slopes(y), ridge * np.eye(len(y))])[:, free]
+
+        if not np.all(np.isfinite(residuals(start[free]))):
+            return start, np.inf
+        if np.any(free):
+            options = {"loss": "soft_l1" if self.robust else "linear", "f_scale": SOFT_L1, **_TOLERANCES}
+            found = optimize.least_squares(residuals, start[free], slopes, bounds=(0.0, 1.0), **options)
+            y[free] = found.x
+            if not found.success:
+                return y, np.inf
+        return y, self.loss(y)
+
+    def search(self, guess: Array, starts: int) -> tuple[Array, tuple[float, ...]]:
+        """Return the best optimum from a guess and the best of many points, and the losses of all distinct optima.
+
+        Raises:
+            NotConverged: no start led to an optimum.
+        """
+        points = qmc.Sobol(len(guess), seed=7).random(64 if self.predictions.closed else 16)
+        losses = np.nan_to_num([self.loss(point) for point in points] if starts > 1 else [], nan=np.inf)
+        tried = [guess, *(points[k] for k in np.argsort(losses)[: starts - 1])]
+        inside = [np.clip(point, 0.02, 0.98) for point in tried]  # a search may stay at a bound
+        ridge = _RIDGE if Directions(self.slopes(inside[0]), 1.0).free.any() else 0.0
+        optima = sorted((self.descend(point, ridge=ridge) for point in inside), key=lambda optimum: optimum[1])
+        if optima[0][1] == np.inf:
+            remedy = "narrow the bounds, give guesses, or fix unknowns that the data do not determine"
+            raise NotConverged(f"the fit did not converge from any of {starts} starts: {remedy}", "not converged")
+        finite = [loss for _, loss in optima if loss < np.inf]
+        return optima[0][0], tuple(b for a, b in zip([-1.0, *finite], finite, strict=False) if b - a > 1e-6 * (1.0 + a))
+
+
+def fitted(problem: LeastSquares, starts: int) -> "Solution":
+    """Return the best fit; weights that depend on the fit are settled with it.
+
+    Raises:
+        NotConverged: no start led to an optimum.
+    """
+    # Where errors are relative, the first weights are those of errors relative to the measured values.
+    scaled, settled = problem.over(problem.observed), True
+    y, optima = scaled.search(problem.guess, starts)
+    if problem.relative or (problem.robust and not problem.stated):
+        for _ in range(100):
+            before, scaled = scaled, problem.scaled(y)
+            if settled := bool(np.all(np.abs(scaled.weights - before.weights) <= 1e-4 * before.weights)):
+                break
+            y, _ = scaled.descend(y)
+        y, optima = scaled.search(y, starts)
+    return Solution(problem, scaled, y, optima, settled)
+
+
+class Directions:
+    """Singular directions of scaled unknowns, and how far data determine them.
+
+    Attributes:
+        vectors: directions as columns (p, p).
+        deviation: standard deviation along each; infinite if no residual depends on it.
+        free: mask of the directions along which the data tell less than the bounds.
+    """
+
+    def __init__(self, slopes: Array, noise: float) -> None:
+        _, sizes, right = np.linalg.svd(slopes, full_matrices=True)
+        sizes = np.pad(sizes, (0, len(right) - len(sizes)))
+        effective = sizes > max(1e-9 * float(sizes[0]), np.finfo(float).tiny)  # less is rounding
+        self.vectors: Array = right.T
+        self.deviation = np.divide(noise, sizes, out=np.full(len(sizes), np.inf), where=effective)
+        self.free = self.deviation >= UNIFORM
+
+    def covariance(self, which: NDArray[np.bool_]) -> Array:
+        """Return the covariance of the scaled unknowns along some directions (p, p)."""
+        within = self.vectors[:, which] * self.deviation[which]
+        return np.asarray(within @ within.T)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The best fit of n rows and p scaled unknowns, with its accuracy.
+
+    Attributes:
+        asked: the problem as it was asked.
+        problem: the same with the weights that belong to the fit.
+        y: scaled unknowns at the optimum.
+        optima: sums of losses of all distinct local optima, the best first.
+        settled: whether weights that depend on the fit settled.
+    """
+
+    asked: LeastSquares
+    problem: LeastSquares
+    y: Array
+    optima: tuple[float, ...]
+    settled: bool
+
+    @property
+    def predicted(self) -> Array:
+        """Predictions (n), SI."""
+        return self.problem.predictions(self.y)[0]
+
+    @cached_property
+    def residuals(self) -> Array:
+        """Weighted residuals, predicted minus observed (n)."""
+        return self.problem.residuals(self.y)
+
+    @property
+    def normal(self) -> bool:
+        """Whether quantiles are normal, because the variance is known; otherwise they are Student's."""
+        return self.problem.stated and not self.problem.robust
+
+    @cached_property
+    def freedom(self) -> int:
+        """Degrees of freedom: rows of weight above 0, minus directions that have an effect."""
+        effective = np.isfinite(Directions(self.problem.slopes(self.y), 1.0).deviation)
+        return int(np.sum(self.problem.counted) - np.sum(effective))
+
+    @cached_property
+    def noise(self) -> tuple[float, float]:
+        """Variance of a weighted residual in the covariance, and rise of twice the loss over the squared quantile."""
+        if self.normal:
+            return 1.0, 1.0
+        counted = self.residuals[self.problem.counted]
+        root = np.hypot(1.0, counted / SOFT_L1) if self.problem.robust else np.ones(len(counted))
+        square = max(float(np.sum((counted / root) ** 2)) / max(self.freedom, 1), _LEAST_SCALE**2)
+        curvature = float(np.mean(root**-3.0))
+        return square / curvature**2, square / curvature
+
+    @cached_property
+    def directions(self) -> Directions:
+        """Directions of the scaled unknowns with the deviations that the scatter leaves."""
+        return Directions(self.problem.slopes(self.y), self.noise[0] ** 0.5)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the scaled unknowns (p, p), without directions that have no effect."""
+        return self.directions.covariance(np.isfinite(self.directions.deviation))
+
+    @cached_property
+    def errors(self) -> Array:
+        """Standard errors of the scaled unknowns (p); infinite where the data tell less than the bounds."""
+        without_effect = self.directions.vectors[:, np.isinf(self.directions.deviation)]
+        errors = np.sqrt(np.diag(self.covariance))
+        return np.where(np.any(np.abs(without_effect) > 1e-6, axis=1) | (errors >= UNIFORM), np.inf, errors)
+
+    def deviation(self, weights: Array | None = None) -> Array:
+        """Return the standard deviation of each measurement (n), SI, by its weight; infinite for one of weight 0."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.noise[0] ** 0.5 / (self.problem.weights if weights is None else weights))
+
+    def prediction_errors(self) -> tuple[Array, Array]:
+        """Return the standard errors of the predictions along determined directions, and along all others (n), SI."""
+        slopes, free = self.problem.predictions(self.y)[1], self.directions.free
+        within = np.einsum("ni,ij,nj->n", slopes, self.directions.covariance(~free), slopes)
+        # Along an undetermined direction the unknowns may be anywhere between their bounds.
+        return np.sqrt(within), UNIFORM * np.linalg.norm(slopes @ self.directions.vectors[:, free], axis=1)
+
+    def quantile(self, level: float) -> float:
+        """Return the two-sided quantile at a confidence level."""
+        side = 0.5 + level / 2.0
+        return float(stats.norm.ppf(side) if self.normal else stats.t.ppf(side, self.freedom))
+
+    def profile(self, k: int, level: float) -> tuple[float, float]:
+        """Return the ends of the profile interval of scaled unknown k, or the bounds that come first.
+
+        It holds all values at which twice the loss, with the other unknowns fitted anew, rises by no more than the
+        squared quantile times the noise.
+
+        Raises:
+            NotConverged: the other unknowns could not be fitted.
+        """
+        centre, error, quantile, least = float(self.y[k]), float(self.errors[k]), self.quantile(level), self.optima[0]
+        # Change of all unknowns per change of this one, to first order: it predicts the fit of the others.
+        along = self.covariance[:, k] / self.covariance[k, k]
+        ridge = _RIDGE if self.directions.free.any() else 0.0
+
+        def excess(value: float) -> float:
+            """Return the root of the loss's rise minus the quantile; it is nearly linear in the value."""
+            start = np.clip(self.y + (value - centre) * along, 0.0, 1.0)
+            start[k] = value
+            loss = least if value == centre else self.problem.descend(start, k, ridge)[1]
+            if loss == np.inf:
+                raise NotConverged("the profile likelihood has no optimum", "not converged")
+            return float((max(2.0 * (loss - least), 0.0) / self.noise[1]) ** 0.5) - quantile
+
+        def end(sign: float) -> float:
+            for far in np.clip(centre + sign * quantile * error * 2.0 ** np.arange(64), 0.0, 1.0).tolist():
+                if excess(far) >= 0.0:
+                    return float(optimize.brentq(excess, centre, far, xtol=1e-7 * error))
+                if far in (0.0, 1.0):
+                    break
+            return float(far)
+
+        return end(-1.0), end(1.0)

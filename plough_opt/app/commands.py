@@ -590,5 +590,3 @@ def _split(option: str, text: str, marks: Sequence[str], example: str) -> tuple[
         raise InputError(f"{option} {text}: expected KEY=..., like {example}")
     check_named(f"{option} {text}: {{}} cannot be an unknown", key, quantities())
     return key, with_unit(first, second), second
-
-

@@ -32,8 +32,9 @@ _OUTPUTS_PER_STEP: Final = 2
 _NODES: Final = 8
 # The predictions of more rows are not expanded to scalar operations, which would fill the memory.
 _MOST_EXPANDED: Final = 1000
-# Results of a scene that do not depend on its motion.
-_OF_SCENE: Final[Mapping[str, Callable[[Scene], Expression]]] = {
+# Results in closed form: the mean draft of a steady motion, and those that do not depend on the motion.
+_CLOSED: Final[Mapping[str, Callable[[Scene], Expression]]] = {
+    "mean_draft": lambda scene: scene.steady_resistance,
     "loosened_radius": lambda scene: scene.loosened_radius,
     "added_mass": lambda scene: scene.carried_soil,
     "cone_index": lambda scene: cone_index(scene.soil),
@@ -230,7 +231,7 @@ class Rows:
         values = model.values(ca.vertsplit(y)) | {key: c[k] for k, key in enumerate(self.measured.conditions)}
         scene = model.scene(values)
         if closed:
-            value = kind(_OF_SCENE.get(result, lambda scene: scene.steady_resistance)(scene))
+            value = kind(_CLOSED[result](scene))
         else:
             run = simulate(scene, model.duration_of(scene, values), accuracy=model.accuracy)
             value = kind(MEASURES[result].of(run))
@@ -269,11 +270,11 @@ def predictor(sets: Sequence[Rows], unknowns: int) -> ca.Function:
 
 
 def is_closed(scene: Scene, result: str) -> bool:
-    """Return whether a result has a closed form: the mean draft of a steady motion is the steady resistance."""
+    """Return whether a result has a closed form; the mean draft has one in a steady motion."""
     effects = scene.effects
     steady = not (effects.waves or effects.ramps or effects.entry or effects.own or effects.printed.repelling_spring)
     from_steady = not effects.motion or effects.start == "equilibrium"
-    return result in _OF_SCENE or (result == "mean_draft" and steady and from_steady)
+    return result in _CLOSED and (result != "mean_draft" or (steady and from_steady))
 
 
 def interpolation(fractions: Array, outputs: int) -> Array:

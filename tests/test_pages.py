@@ -254,7 +254,7 @@ LIMITS = {
         schema._MAX_LENGTH, schema._MAX_DEPTH, schema._MAX_POWER,
     ),
     "CSV files of measurements and penetrometer readings": (
-        tables._MOST_BYTES, tables._LONGEST_LINE, tables._MOST_LISTED,
+        tables._MOST_BYTES, tables._MOST_LISTED,
     ),
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Studies and runs": (

@@ -8,12 +8,12 @@ import itertools
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, TextIO, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, Final, Literal, TextIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,6 @@ _SEPARATOR: Final = re.compile(r"[;\t\r\n]")
 _MOST_LISTED: Final = 8
 # Largest file: some 300,000 rows, each of which may require a simulation.
 _MOST_BYTES: Final = 10_000_000
-_LONGEST_LINE: Final = 10_000
 
 
 @dataclass(frozen=True)
@@ -115,74 +114,66 @@ class Grid:
 
     def row(self, *cells: str, bold: bool = False, end: bool = False) -> None:
         """Add a row."""
-        if bold:
-            self.bold.append(len(self.rows))
-        if end:
-            self.ends.append(len(self.rows))
+        self.bold += [len(self.rows)] * bold
+        self.ends += [len(self.rows)] * end
         self.rows.append(cells)
 
-    @property
-    def headed(self) -> bool:
-        """Whether any column has a heading."""
-        return any(column.heading for column in self.columns)
+    def _lines(self) -> tuple[list[str], list[list[str]]]:
+        """Return the headings, none if all are empty, and the cells of all rows as they are shown."""
+        headings = [printable(column.heading) for column in self.columns]
+        return headings if any(headings) else [], [[*map(printable, row)] for row in self.rows]
 
     def __str__(self) -> str:
         """Return the table as plain text."""
-        rows = [tuple(" ".join(text.split()) for text in self._headings())] if self.headed else []
-        for row in self._cells():
+        headings, rows = self._lines()
+        lines = [tuple(" ".join(text.split()) for text in headings)] if headings else []
+        for row in rows:
             # A cell with several lines takes as many rows of text.
-            rows += itertools.zip_longest(*(cell.splitlines() or [""] for cell in row), fillvalue="")
+            lines += itertools.zip_longest(*(cell.splitlines() or [""] for cell in row), fillvalue="")
         aligned = []
-        for column, cells in zip(self.columns, zip(*rows, strict=True), strict=False):
+        for column, cells in zip(self.columns, zip(*lines, strict=True), strict=False):
             side, width = "<" if column.left else ">", max(map(len, cells))
             aligned.append([f"{cell:{side}{width}}" for cell in cells])
         text = "\n".join(f"  {'  '.join(cells)}".rstrip() for cells in zip(*aligned, strict=True))
         return "\n".join(part for part in (printable(self.title), text, printable(self.caption)) if part)
 
-    def _headings(self) -> list[str]:
-        """Return the headings of the columns as they are shown."""
-        return [printable(column.heading) for column in self.columns]
-
-    def _cells(self) -> list[list[str]]:
-        """Return the cells of all rows as they are shown."""
-        return [[*map(printable, row)] for row in self.rows]
-
     def __rich__(self) -> Table:
         """Return the table for a terminal."""
-        from rich.box import HEAVY_HEAD, SIMPLE_HEAD
+        from rich.box import SIMPLE_HEAD
         from rich.table import Table
         from rich.text import Text
 
-        table = Table(title=Text(printable(self.title), "table.title") if self.title else None,
-                      caption=Text(printable(self.caption), "table.caption") if self.caption else None,
-                      show_header=self.headed, box=SIMPLE_HEAD if self.plain else HEAVY_HEAD,
-                      caption_justify="left" if self.plain else "center", show_edge=not self.plain,
-                      pad_edge=not self.plain, padding=(0, 1, 0, 0) if self.plain else (0, 1))  # fmt: skip
-        for heading, column in zip(self._headings(), self.columns, strict=True):
-            table.add_column(
-                Text(heading),
-                justify="left" if column.left else "right",
-                overflow="fold" if column.fold else "ellipsis",
-                style="yellow" if column.mark else "",
-            )
-        for k, row in enumerate(self._cells()):
+        headings, rows = self._lines()
+        title, caption = (
+            Text(printable(text), f"table.{what}") if text else None
+            for text, what in ((self.title, "title"), (self.caption, "caption"))
+        )
+        frame: dict[str, Any] = {}
+        if self.plain:
+            frame = {"box": SIMPLE_HEAD, "show_edge": False, "pad_edge": False, "padding": (0, 1, 0, 0)}
+            frame["caption_justify"] = "left"
+        table = Table(title=title, caption=caption, show_header=bool(headings), **frame)
+        for column in self.columns:
+            side: Literal["left", "right"] = "left" if column.left else "right"
+            overflow: Literal["fold", "ellipsis"] = "fold" if column.fold else "ellipsis"
+            heading = Text(printable(column.heading))
+            table.add_column(heading, justify=side, overflow=overflow, style="yellow" if column.mark else "")
+        for k, row in enumerate(rows):
             table.add_row(*map(Text, row), style="bold" if k in self.bold else None, end_section=k in self.ends)
         return table
 
     def html(self) -> str:
         """Return the table as HTML."""
-        left = ["left" if column.left else "right" for column in self.columns]
+        headings, rows = self._lines()
 
         def row(cells: Sequence[str], tag: str, style: str = "") -> str:
-            inner = "".join(
-                f'<{tag} style="text-align: {side}">{_escaped(cell)}</{tag}>'
-                for cell, side in zip(cells, left, strict=True)
-            )
-            return f"<tr{style}>{inner}</tr>"
+            sides = ["left" if column.left else "right" for column in self.columns]
+            inner = (f'<{tag} style="text-align: {s}">{_escaped(x)}</{tag}>' for x, s in zip(cells, sides, strict=True))
+            return f"<tr{style}>{''.join(inner)}</tr>"
 
-        lines = [row(self._headings(), "th")] if self.headed else []
-        lines += [row(cells, "td", ' style="font-weight: bold"' if k in self.bold else "")
-                  for k, cells in enumerate(self._cells())]  # fmt: skip
+        bold = ' style="font-weight: bold"'
+        lines = [row(headings, "th")] if headings else []
+        lines += [row(cells, "td", bold * (k in self.bold)) for k, cells in enumerate(rows)]
         title = f'<caption style="text-align: left">{_escaped(self.title)}</caption>' if self.title else ""
         below = f"<p>{_escaped(self.caption)}</p>" if self.caption else ""
         return f"<table>{title}{''.join(lines)}</table>{below}"
@@ -302,56 +293,36 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
         InputError: the file is missing, too large or not UTF-8 text, or has both decimal commas and decimal points.
     """
     text = read_text(path, f"a file of {what}", ".csv", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
-    rows = [(k, [*map(_unshielded, cells)]) for k, cells in _records(path, text) if any(map(str.strip, cells))]
-    width = max((k for k, heading in enumerate(rows[0][1], 1) if heading.strip()), default=0) if rows else 0
+    lines = [*io.StringIO(text, newline="")]
+    heading = next((line for line in lines if line.strip() and not line.startswith("#")), "").strip()
+    delimiter = next((mark for mark in "\t;" if mark in re.sub(r'"[^"]*"?', "", heading)), ",")
+    rows: list[tuple[int, list[str]]] = []
+    first = 1  # line of the row that is read next
+    uncommented = ("\n" if line.startswith("#") and k == first else line for k, line in enumerate(lines, 1))
+    reader = csv.reader(uncommented, delimiter=delimiter, skipinitialspace=True, strict=True)
+    try:
+        for cells in reader:
+            if any(map(str.strip, cells)):
+                rows.append((first, [*map(_unshielded, cells)]))
+            first = reader.line_num + 1
+    except csv.Error:
+        raise InputError(f"{path}, line {first}: a quotation mark begins a cell that does not end: close it") from None
+    rows = _with_points(path, rows) if delimiter == ";" else rows
+    width = max((k for k, name in enumerate(rows[0][1], 1) if name.strip()), default=0) if rows else 0
     return [(k, cells if any(map(str.strip, cells[width:])) else cells[:width]) for k, cells in rows]
 
 
-def _records(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the cells of each row with the number of its first line; a cell in quotation marks may have several."""
-    lines = [*enumerate(io.StringIO(text, newline=""), 1)]
-    heading = next((line for _, line in lines if line.strip() and not line.startswith("#")), "")
-    unquoted = re.sub(r'"[^"]*"?', "", heading.strip())
-    first = 0
-
-    def fed() -> Iterator[str]:
-        nonlocal first
-        for number, line in lines:
-            if not first and (not line.strip() or line.startswith("#")):
-                continue
-            if (length := len(line.rstrip("\r\n"))) > _LONGEST_LINE:
-                raise InputError(
-                    f"{path}, line {number}: it has {length} characters, but at most {_LONGEST_LINE} can be read:"
-                    " write one row per line"
-                )
-            first = first or number
-            yield line
-
-    delimiter = next((mark for mark in "\t;" if mark in unquoted), ",")
-    reader = csv.reader(fed(), delimiter=delimiter, skipinitialspace=True)
-    marks: dict[str, int] = {}  # decimal mark -> line that has it
-    try:
-        while (cells := next(reader, None)) is not None:
-            yield first, _with_points(path, first, cells, marks) if delimiter == ";" else cells
-            first = 0
-    except csv.Error:
-        raise InputError(f"{path}, line {first}: a quotation mark begins a cell that does not end: close it") from None
-
-
-def _with_points(path: Path, line: int, cells: list[str], marks: dict[str, int]) -> list[str]:
-    """Return the cells of a row with decimal points in place of decimal commas; ``marks`` records both by line."""
-    found = []
-    for cell in cells:
-        comma = _COMMA.fullmatch(cell)
-        if comma or ("." in cell and _NUMBER.fullmatch(cell.strip())):
-            marks.setdefault("comma" if comma else "point", line)
-        found.append(cell.replace(",", ".") if comma else cell)
-    if len(marks) > 1:
+def _with_points(path: Path, rows: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Return the rows with decimal points in place of decimal commas."""
+    written = [(k, cell) for k, cells in rows for cell in cells]
+    comma = next((k for k, cell in written if _COMMA.fullmatch(cell)), None)
+    point = next((k for k, cell in written if "." in cell and _NUMBER.fullmatch(cell.strip())), None)
+    if comma is not None and point is not None:
         raise InputError(
-            f"{path}: line {marks['comma']} has a decimal comma and line {marks['point']} a decimal point: use one of"
-            " the two, and no separator of thousands"
+            f"{path}: line {comma} has a decimal comma and line {point} a decimal point: use one of the two, and no"
+            " separator of thousands"
         )
-    return found
+    return [(k, [x.replace(",", ".") if _COMMA.fullmatch(x) else x for x in cells]) for k, cells in rows]
 
 
 def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:
@@ -513,22 +484,12 @@ def columns_of(place: str, headings: Sequence[str], units: Mapping[str, Unit]) -
         name, unit = heading_of(text, units)
         try:
             if name not in units:
-                fitting = [other for other in units if unit and _measures(unit, units[other])]
-                raise InputError(f"this column is unknown: {nearest(name, units, fitting)}")
+                raise InputError(f"this column is unknown: {nearest(name, units)}")
             found.append((name, factor_of(name, unit, units[name])))
         except InputError as error:
             errors.append(f"{place}, column '{short(text.strip())}': {error}")
     raise_listed(errors)
     return found
-
-
-def _measures(written: str, unit: Unit) -> bool:
-    """Return whether a unit in a heading is one of a quantity in an SI unit."""
-    try:
-        factor_of("", written, unit)
-    except InputError:
-        return False
-    return True
 
 
 def table_of(

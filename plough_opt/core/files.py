@@ -5,18 +5,13 @@ from __future__ import annotations
 import difflib
 import os
 import secrets
-import shutil
-import signal
 import stat
 import tempfile
-import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
 from importlib import import_module
 from importlib.resources import files as beside
 from pathlib import Path
-from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 from plough_opt.core.errors import InputError, listed, short, shown
@@ -28,8 +23,6 @@ if TYPE_CHECKING:
 Content: TypeAlias = str | bytes | Callable[[IO[bytes]], object]
 """Content of a file: text (written as UTF-8), bytes, or a function that writes into a binary file."""
 
-# Signals that terminate a process at once and would leave unfinished files behind.
-_TERMINATING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 _LONGEST_STEM: Final = 100
 
 BYTE_ORDER_MARK: Final = "\ufeff"
@@ -120,23 +113,59 @@ def write_files(files: Mapping[Path, Content], kind: str) -> None:
     Raises:
         InputError: as `write_file`.
     """
-    target = next(iter(files))
-    unfinished: list[Path] = []
+    target, moves = next(iter(files)), dict[Path, Path]()
     try:
-        with _removed_afterwards(unfinished):
-            moves: list[tuple[Path, Path]] = []
-            for target, content in files.items():
-                if _is_stream(target):
-                    with target.open("wb") as stream:
-                        _fill(stream, content)
-                    continue
-                place = _resolved(target)
-                _make_folder(place.parent)
-                moves.append((_write_temporary(place, content, unfinished), place))
-            for temporary, place in moves:
-                temporary.replace(place)
+        for target, content in files.items():
+            place = Path(os.path.realpath(target))
+            if place.exists() and not (place.is_file() or place.is_dir()):  # a pipe, a terminal or a device
+                with place.open("wb") as stream:
+                    _fill(stream, content)
+                continue
+            _check_place(place)
+            temporary = place.with_name(f".{place.name[:_LONGEST_STEM]}.{secrets.token_hex(4)}")
+            moves[temporary] = place
+            with temporary.open("xb") as file:
+                if place.exists():
+                    temporary.chmod(stat.S_IMODE(place.stat().st_mode))
+                _fill(file, content)
+                file.flush()
+                os.fsync(file.fileno())  # some file systems report a full disk only now
+        for temporary, place in moves.items():
+            temporary.replace(place)
     except OSError as error:
         raise _write_error(kind, target, error) from None
+    finally:
+        for temporary in moves:
+            temporary.unlink(missing_ok=True)
+
+
+def _check_place(place: Path) -> None:
+    """Make the folder of a file; raise OSError if the file is a folder or read-only, or its links lead in a circle."""
+    if place.is_symlink():
+        raise OSError(0, "the link leads in a circle")
+    if place.is_dir():
+        raise IsADirectoryError(0, "it is a folder")
+    if place.exists() and not os.access(place, os.W_OK):
+        raise PermissionError(0, "permission denied")
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise NotADirectoryError(0, f"'{place.parent}' is not a folder") from None
+
+
+def _fill(file: IO[bytes], content: Content) -> None:
+    if callable(content):
+        content(file)
+    else:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+def _write_error(kind: str, target: Path, error: OSError) -> InputError:
+    why = error.strerror or str(error)
+    return InputError(
+        f"the {kind} '{target}' cannot be written: {why[:1].lower()}{why[1:]}; nothing was changed: choose another"
+        " path, or free some space"
+    )
 
 
 def write_new(path: str | Path, kind: str, content: Content) -> Path:
@@ -156,14 +185,11 @@ def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:
     Raises:
         InputError: the folder exists already or cannot be written.
     """
-    unfinished: list[Path] = []
     try:
-        _make_folder(target.parent)
-        with _removed_afterwards(unfinished):
-            scratch = Path(tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_STEM]}.", dir=target.parent))
-            unfinished.append(scratch)
-            # A subfolder has the usual permissions; only the user can read what mkdtemp creates.
-            inner = scratch / "made"
+        _check_place(target.parent / "new")
+        with tempfile.TemporaryDirectory(prefix=f".{target.name[:_LONGEST_STEM]}.", dir=target.parent) as scratch:
+            # A subfolder has the usual permissions; only the user can read what `tempfile` creates.
+            inner = Path(scratch) / "made"
             inner.mkdir()
             for name, content in files.items():
                 with (inner / name).open("xb") as file:
@@ -199,94 +225,6 @@ def check_file(path: str | Path, kind: str, *endings: str) -> Path:
     if target.is_dir():
         raise InputError(f"'{target}' is a folder: name a file in it")
     return target
-
-
-def _is_stream(target: Path) -> bool:
-    """Return whether a path is a pipe, a terminal or a device."""
-    try:
-        mode = target.stat().st_mode
-    except OSError:
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
-
-
-def _resolved(target: Path) -> Path:
-    """Return the path of a file to be written, with symbolic links resolved.
-
-    Raises:
-        OSError: the path is a folder, a read-only file, or a loop of links.
-    """
-    place = Path(os.path.realpath(target))
-    if place.is_symlink():
-        raise OSError(0, "the link leads in a circle")
-    if place.is_dir():
-        raise IsADirectoryError(0, "it is a folder")
-    if place.exists() and not os.access(place, os.W_OK):
-        raise PermissionError(0, "permission denied")
-    return place
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise NotADirectoryError(0, f"'{folder}' is not a folder") from None
-
-
-def _write_temporary(place: Path, content: Content, unfinished: list[Path]) -> Path:
-    """Write a file under a unique name in the same folder, with the existing file's permissions; return its path."""
-    temporary = place.with_name(f".{place.name[:_LONGEST_STEM]}.{secrets.token_hex(4)}")
-    unfinished.append(temporary)
-    with temporary.open("xb") as file:
-        if place.exists() and hasattr(os, "fchmod"):
-            os.fchmod(file.fileno(), stat.S_IMODE(place.stat().st_mode))
-        _fill(file, content)
-        file.flush()
-        os.fsync(file.fileno())  # some file systems report a full disk only now
-    return temporary
-
-
-def _fill(file: IO[bytes], content: Content) -> None:
-    if callable(content):
-        content(file)
-    else:
-        file.write(content.encode() if isinstance(content, str) else content)
-
-
-@contextmanager
-def _removed_afterwards(unfinished: Sequence[Path]) -> Iterator[None]:
-    """Remove unfinished files on exit, even after an error or a signal that terminates the process."""
-
-    def remove() -> None:
-        for path in unfinished:
-            if path.is_dir():
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                path.unlink(missing_ok=True)
-
-    def end(number: int, _frame: FrameType | None) -> None:
-        remove()
-        signal.signal(number, signal.SIG_DFL)
-        os.kill(os.getpid(), number)
-
-    in_main = threading.current_thread() is threading.main_thread()  # Python handles signals only there
-    caught = [number for number in _TERMINATING if in_main and signal.getsignal(number) is signal.SIG_DFL]
-    for number in caught:
-        signal.signal(number, end)
-    try:
-        yield
-    finally:
-        remove()
-        for number in caught:
-            signal.signal(number, signal.SIG_DFL)
-
-
-def _write_error(kind: str, target: Path, error: OSError) -> InputError:
-    why = error.strerror or str(error)
-    return InputError(
-        f"the {kind} '{target}' cannot be written: {why[:1].lower()}{why[1:]}; nothing was changed: choose another"
-        " path, or free some space"
-    )
 
 
 def from_above(module: str, name: str) -> Any:

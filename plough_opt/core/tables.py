@@ -118,10 +118,15 @@ class Grid:
         self.ends += [len(self.rows)] * end
         self.rows.append(cells)
 
+    @property
+    def headed(self) -> bool:
+        """Whether any column has a heading."""
+        return any(column.heading for column in self.columns)
+
     def _lines(self) -> tuple[list[str], list[list[str]]]:
         """Return the headings, none if all are empty, and the cells of all rows as they are shown."""
         headings = [printable(column.heading) for column in self.columns]
-        return headings if any(headings) else [], [[*map(printable, row)] for row in self.rows]
+        return headings if self.headed else [], [[*map(printable, row)] for row in self.rows]
 
     def __str__(self) -> str:
         """Return the table as plain text."""

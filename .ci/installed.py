@@ -29,14 +29,13 @@ FEWER = "--set share.wedge_angle='30 deg' --set scene.stiffness='50 kN/m'"
 WORK = {
     "init a.toml": "a.toml",
     "soils": "serozem",
-    "schema": "$schema",
-    "completion bash": "complete",
+    "init --schema": "$schema",
     "check a.toml": "D497",
     "check a.toml --plot share.png": "share.png",
     "simulate a.toml -o run.json --plot run.png": "run.json",
     "optimise a.toml --search near -o best.json --plot best.png": "best.json",
     "show best.json --problem": "title",
-    "compare best.json run.json": "best.json",
+    "show best.json run.json": "best.json",
     f"tradeoff a.toml --points 5 {TRADED} {FEWER}": "loosened",
     "sweep a.toml --over share.height='0.2..0.3 m:3' --workers 2 --csv swept.csv": "swept.csv",
     f"calibrate a.toml {FEWER} --data draft.csv --unknown soil.cohesion='1..80 kPa'": "cohesion",
@@ -48,7 +47,6 @@ WORK = {
 }
 # A command -> its extra, and the file that it writes with it.
 NEED = {
-    "report FILE -o report.html": ("report", "report.html"),
     "explore FILE -o page.html": ("report", "page.html"),
     "export FILE --to openmdao -o component": ("openmdao", "component"),
     "export FILE --to stl --at guess -o a.stl": ("parts", "a.stl"),

@@ -29,7 +29,7 @@ COMMANDS = {
     "`plough-opt simulate problems/cotton_subsoiler.toml`": ["simulate", COTTON],
     "`plough-opt optimise problems/cotton_subsoiler.toml`": ["optimise", COTTON],
     "the same with `--over worst`": ["optimise", COTTON, "--over", "worst"],
-    "`plough-opt report problems/cotton_subsoiler.toml`": ["report", COTTON, "--output", "report.html"],
+    "`plough-opt explore problems/cotton_subsoiler.toml -o page.html`": ["explore", COTTON, "-o", "page.html"],
     "`plough-opt optimise problems/uncertain_field.toml`": ["optimise", HERE / "uncertain_field.toml"],
     "`plough-opt tradeoff problems/draft_oscillation_loosening.toml`": [
         "tradeoff", HERE / "draft_oscillation_loosening.toml",

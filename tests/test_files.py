@@ -376,4 +376,4 @@ def test_a_dollar_sign_in_a_picture_is_one(tmp_path):
     run = po.load(tmp_path / "a.json")
     assert run.plot(tmp_path / "a.svg").get_suptitle().startswith("$\\frac$")
     assert "<img" in run._repr_html_()
-    assert call("compare", tmp_path / "a.json", tmp_path / "a.json", "--plot", tmp_path / "b.png").status == 0
+    assert call("show", tmp_path / "a.json", tmp_path / "a.json", "--plot", tmp_path / "b.png").status == 0

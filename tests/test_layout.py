@@ -125,8 +125,6 @@ def test_the_version_and_its_date_are_everywhere_those_of_the_project():
 LICENCES = [*csv.DictReader((ROOT / ".ci" / "recipe" / "licences.csv").read_text(encoding="utf-8").splitlines())]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 FAMILIES = ("MIT", "BSD", "Apache", "MPL", "LGPL", "PSF")
-# Licences of older versions that are allowed too.
-BEFORE = {"shtab": "Apache-2.0"}
 # Libraries whose metadata do not contain a machine-readable licence.
 SILENT = {"fmpy": "BSD", "matplotlib": "PSF", "casadi": "LGPL"}
 
@@ -137,7 +135,7 @@ def test_the_licence_of_every_library_is_listed():
     needed = [(extra, line) for extra, lines in {"": PROJECT["dependencies"], **extras}.items() for line in lines]
     named = sorted((extra, re.match(r"[\w-]+", line)[0]) for extra, line in needed)
     assert sorted((row["extra"], row["library"]) for row in libraries) == named
-    for name, licence in {row["library"]: row["licence"] + BEFORE.get(row["library"], "") for row in libraries}.items():
+    for name, licence in {row["library"]: row["licence"] for row in libraries}.items():
         try:
             about = importlib.metadata.metadata(name)
         except importlib.metadata.PackageNotFoundError:

@@ -61,7 +61,7 @@ def test_a_loaded_result_equals_the_saved_one(name, tmp_path):
     assert 'src="data:image/png;base64,' in html
     # Designs and runs can be compared by the command.
     neither = {"BatchResult", "Fit", "TradeOff", "AccuracyStudy"}
-    assert call("compare", path, run().save(tmp_path / "run.json")).status == (2 if name in neither else 0)
+    assert call("show", path, run().save(tmp_path / "run.json")).status == (2 if name in neither else 0)
 
 
 def test_a_run_prints_and_saves_its_numbers():
@@ -341,13 +341,13 @@ def test_show_prints_the_same_tables(folder, saved):
     assert strict(printed("show", saved[1], "--json")) == strict(saved[1].read_text(encoding="utf-8"))
 
 
-def test_compare_sets_designs_side_by_side(saved, tmp_path):
+def test_several_designs_are_shown_side_by_side(saved, tmp_path):
     slow, fast = (po.load(path) for path in saved)
     picture = tmp_path / "both.svg"
-    text = printed("compare", *saved, "--plot", picture)
+    text = printed("show", *saved, "--plot", picture)
     # In one unit, that of the first.
     assert cells(text, "tow speed") == ["7.2 km/h", "9 km/h", "+25 %"]
-    three = printed("compare", *saved[::-1], shutil.copy(saved[0], tmp_path / "third.json"))
+    three = printed("show", *saved[::-1], shutil.copy(saved[0], tmp_path / "third.json"))
     assert cells(three, "tow speed") == ["2.5 m/s", "2 m/s", "2 m/s", "+20 %"]
     first, second = (one.run.averages.mean_draft for one in (slow, fast))
     drafts = [f"{draft / 1e3:.4g} kN" for draft in (first, second)]
@@ -357,14 +357,17 @@ def test_compare_sets_designs_side_by_side(saved, tmp_path):
     assert "cohesion" not in text
     assert 'scene.tow_speed="2.5 m/s"' in text
     assert picture.stat().st_size > 5000
-    found = strict(printed("compare", *saved, "--json"))
+    found = strict(printed("show", *saved, "--json"))
     assert found["fast.json"]["share.height"] == fast.variables["share.height"]
 
 
-def test_compare_refuses_one_file_and_an_output_that_is_an_input(saved, tmp_path):
+def test_several_results_have_no_one_problem_and_are_not_overwritten(saved, tmp_path):
     other = shutil.copy(saved[0], tmp_path / "picture.png")
-    for words, told in (([saved[0]], "two or more"), ([saved[0], other, "--plot", other], "would overwrite")):
-        done = call("compare", *words)
+    for words, told in (
+        ([saved[0], other, "--problem"], "name one"),
+        ([saved[0], other, "--plot", other], "would overwrite"),
+    ):
+        done = call("show", *words)
         assert done.status == 2
         assert told in done.said
 

@@ -59,7 +59,12 @@ _FORMAT_OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for op
 
 
 def init(options: argparse.Namespace) -> None:
-    """Write the template to a new file in an existing folder."""
+    """Write the template to a new file in an existing folder, or print the JSON schema of problem files."""
+    if options.schema:
+        print(json_text(file_schema()))
+        return
+    if options.file is None:
+        raise InputError("init needs the name of the new file, or --schema")
     if not Path(options.file).parent.is_dir():
         raise InputError(f"'{options.file}' cannot be written: create its folder first, or choose another place")
     path = write_new(options.file, "problem file", template())
@@ -78,11 +83,6 @@ def soils(options: argparse.Namespace) -> None:
     units = {one.key: one.unit for one in QUANTITIES.values() if one.owner == "soil"} | {"cone_index": "Pa"}
     columns = {key: [one[key] for one in properties] for key in properties[0]}
     give(options, tables.soils_page(found), lambda: json_text(properties), None, lambda: data_frame(columns, units))
-
-
-def schema(_options: argparse.Namespace) -> None:
-    """Print the JSON schema of problem files."""
-    print(json_text(file_schema()))
 
 
 def check(options: argparse.Namespace) -> None:
@@ -185,14 +185,18 @@ def explore(options: argparse.Namespace) -> None:
     """Write the page of a file, and open it in the browser unless a path is given.
 
     Raises:
-        InputError: as `report`.
+        InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, or the page
+            cannot be written.
     """
-    from plough_opt.app.report import page_of_command
+    from plough_opt.app.report import provenance, write_page
 
     target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
-    _, path = page_of_command(options, target)
+    optional("jinja2")  # before anything is read
+    problem = read(options)
+    with progress() as notify:
+        path = write_page(problem, target, notify, seed=options.seed)
     if options.json:
-        print(json_text({"wrote": [str(path)]}))
+        print(json_text({"wrote": [str(path)], "provenance": provenance(problem, options.seed)}))
     elif options.output is None:
         webbrowser.open(f"{path.resolve().as_uri()}#explore")
     wrote(path)
@@ -367,7 +371,7 @@ def _best(problem: Problem, *, bought: bool) -> Scene:
 
 # A relative difference below this is rounding.
 _NO_CHANGE = 1e-9
-# SI unit -> results of a run that `compare` shows in one common unit.
+# SI unit -> results of several runs that are shown in one common unit.
 _RESULTS = {
     "N": ("mean_draft", "force_rms", "peak_force"),
     "m": ("mean_deflection", "displacement_rms", "peak_deflection"),
@@ -376,9 +380,12 @@ _RESULTS = {
 
 
 def show(options: argparse.Namespace) -> None:
-    """Print a saved result again, and its origin."""
-    path = Path(options.file)
+    """Print a saved result again, with its origin, or several side by side."""
     check_outputs(options)
+    if len(options.file) > 1:
+        _compare(options)
+        return
+    path = Path(options.file[0])
     if is_store(path):
         from plough_opt.studies.sweep.result import Sweep
 
@@ -397,11 +404,10 @@ def show(options: argparse.Namespace) -> None:
             console().print(line, soft_wrap=True)
 
 
-def compare(options: argparse.Namespace) -> None:
+def _compare(options: argparse.Namespace) -> None:
     """Print saved designs or runs side by side: overrides, variables, requirements and results."""
-    if len(options.file) < 2:
-        raise InputError("compare needs two or more saved results: name another file")
-    check_outputs(options)
+    if options.problem:
+        raise InputError("--problem prints the file of one result: name one")
     saved = {_column(path, options.file): load(path) for path in options.file}
     for name, one in saved.items():
         if not _runs(one) and _design(one) is None:

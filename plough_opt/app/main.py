@@ -1,6 +1,6 @@
 """The command `plough-opt`: its arguments, what it runs, and its exit status.
 
-Nothing here imports the rooms of the package, so that help and completion need no numerical library.
+Nothing here imports the rooms of the package, so that help needs no numerical library.
 
 Exit status: 0 success; 1 the problem has no solution, or none was found; 2 invalid input; 130 interrupted (a sweep
 continues when it is started again).
@@ -152,25 +152,16 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _init(verb: _Parser) -> None:
-    verb.add_argument("file", metavar="FILE", help="new file to write; it must not exist yet")
+    verb.add_argument("file", metavar="FILE", nargs="?", help="new file to write; it must not exist yet")
+    verb.switch("schema", "print the JSON schema of problem files instead, for checks in an editor")
     verb.shared(json="print the path of the file as JSON")
 
 
 def _show(verb: _Parser) -> None:
-    verb.add_argument("file", metavar="FILE", help="a saved result (JSON), or the store of a sweep")
+    results = "saved results (JSON), or the store of a sweep; several designs or runs are set side by side"
+    verb.add_argument("file", metavar="FILE", nargs="+", help=results)
     verb.results(json="print the result as JSON (SI units)")
     verb.switch("problem", "print the problem file and its data instead")
-
-
-def _compare(verb: _Parser) -> None:
-    verb.add_argument("file", metavar="FILE", nargs="+", help="saved designs or runs (JSON), two or more")
-    verb.results()
-
-
-def _completion(verb: _Parser) -> None:
-    import shtab  # slow to import
-
-    verb.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="your shell")
 
 
 def _check(verb: _Parser) -> None:
@@ -273,15 +264,10 @@ def _export(verb: _Parser) -> None:
     verb.choice("at", ("best", "catalogue", "guess"), at)
 
 
-def _report(verb: _Parser) -> None:
-    verb.add_argument("-o", "--output", required=True, metavar="FILE.html", help="page to write")
-    verb.shared("over", "seed", json="print the path of the page and its provenance as JSON")
-
-
 def _explore(verb: _Parser) -> None:
     where = "page to write, which is then not opened (default: one in the user's cache folder, which is opened)"
     verb.add_argument("-o", "--output", metavar="FILE.html", help=where)
-    verb.shared("seed", json="print the path of the page as JSON, and open nothing")
+    verb.shared("over", "seed", json="print the path of the page and its provenance as JSON, and open nothing")
 
 
 def _accuracy(verb: _Parser) -> None:
@@ -295,46 +281,32 @@ def _accuracy(verb: _Parser) -> None:
 
 @dataclass(frozen=True)
 class _Command:
-    """A command: its line of help, its arguments, and the module with a function of its name that runs it."""
+    """A command: its line of help, and its arguments; a function of its name in `commands` runs it."""
 
     help: str
     add: Callable[[_Parser], None]
-    module: str = "commands"
     reads: bool = True  # a problem file, which may be changed by --set
 
-    def arguments(self, name: str, whole: bool, verb: _Parser) -> None:
-        """Add the arguments of the command to its parser, and the module and function that run it.
-
-        Args:
-            name: of the command.
-            whole: whether file names are marked for shtab, which completes them.
-            verb: the parser.
-        """
+    def arguments(self, name: str, verb: _Parser) -> None:
+        """Add the arguments of the command to its parser, and its function."""
         how_much = verb.add_mutually_exclusive_group()
         how_much.add_argument("-q", "--quiet", action="store_true", help="hide progress, notes and names of written"
                               " files")  # fmt: skip
         verbose = "show each step with its time; -vv also every solve and run"
         how_much.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
         if self.reads:
-            file = verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
-            if whole:
-                import shtab  # slow to import
-
-                file.complete = shtab.FILE  # type: ignore[attr-defined]  # makes shtab complete file names
+            verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
             change = 'change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable'
             verb.option("set", 'KEY="VALUE"', change, action="append", default=[])
         self.add(verb)
-        verb.set_defaults(module=f"plough_opt.app.{self.module}", function=name)
+        verb.set_defaults(function=name)
 
 
 _COMMANDS: Final = {
     "init": _Command("write a commented problem file to start from", _init, reads=False),
     "soils": _Command("list the named soils and where their values come from", partial(_Parser.results, plot=None),
                       reads=False),
-    "show": _Command("print a saved result again, and its origin", _show, reads=False),
-    "compare": _Command("print saved designs or runs side by side", _compare, reads=False),
-    "schema": _Command("print the JSON schema of problem files, for checks in an editor", lambda _: None, reads=False),
-    "completion": _Command("print a script by which a shell completes this command", _completion, "main", reads=False),
+    "show": _Command("print a saved result again with its origin, or several side by side", _show, reads=False),
     "check": _Command("check a problem file, and show what its scene contains", _check),
     "simulate": _Command("simulate the scene with every variable at its guess",
                          partial(_Parser.results, csv="write the motion at every output time: .csv, or .xlsx")),
@@ -343,8 +315,7 @@ _COMMANDS: Final = {
     "sweep": _Command("simulate or optimise at every point of a grid or a sample", _sweep),
     "calibrate": _Command("estimate soil parameters from measured draft", _calibrate),
     "export": _Command("write the scene for other tools: C, CasADi, OpenMDAO, FMU", _export),
-    "report": _Command("write everything about the best share as one HTML page", _report, "report"),
-    "explore": _Command("open a page that computes any other design, beside the report", _explore),
+    "explore": _Command("open one HTML page: the report, and what computes any other design", _explore),
     "accuracy": _Command("compare error and time of integration methods", _accuracy),
 }  # fmt: skip
 
@@ -356,18 +327,10 @@ def parser(*, whole: bool = False) -> argparse.ArgumentParser:
     verbs = every.add_subparsers(title="commands", required=True, metavar="COMMAND")
     for name, command in _COMMANDS.items():
         aliases = ["optimize"] if name == "optimise" else []
-        add = partial(command.arguments, name, whole)
-        verb = verbs.add_parser(name, help=command.help, aliases=aliases, add=add)
+        verb = verbs.add_parser(name, help=command.help, aliases=aliases, add=partial(command.arguments, name))
         if whole:
             verb.fill()
     return every
-
-
-def completion(options: argparse.Namespace) -> None:
-    """Print a shell script that completes commands, options and file names."""
-    import shtab  # slow to import
-
-    print(shtab.complete(parser(whole=True), shell=options.shell))
 
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -389,11 +352,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     try:
         with interruptible(), without_notices(), messages(options):
-            module = import_module(options.module)
+            commands = import_module("plough_opt.app.commands")
             if not gc.isenabled():  # by the entry point
                 gc.freeze()  # No pass looks at the modules again: a tenth of the time of an optimisation.
                 gc.enable()
-            getattr(module, options.function)(options)
+            getattr(commands, options.function)(options)
         if sys.stdout is not None:  # None if the parent process closed it
             sys.stdout.flush()
     except (InputError, DomainError) as error:

@@ -1,11 +1,10 @@
-"""`plough-opt report`: everything about a file's best share on one HTML page that loads nothing else; animations.
+"""`plough-opt explore`: everything about a file's best share on one HTML page that loads nothing else; animations.
 
 The contents come first, section by section: texts, tables, and the data of the pictures. Pages and commands follow.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,12 +18,10 @@ import numpy as np
 from plough_opt.app.page_model import PageModel, design_model, frame_model, page_model, shown_in, without_random
 from plough_opt.app.panels import Panel, changing, deflection_of, force_of, gif, subject
 from plough_opt.app.tables import ROUNDING, sensitivities_of
-from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.checks import check_domain, path_of, whole_number
 from plough_opt.core.errors import InputError, listed
 from plough_opt.core.expressions import as_number
 from plough_opt.core.files import COLOURS, check_file, text_of, write_file
-from plough_opt.core.plain_data import json_text
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import versions
@@ -39,7 +36,7 @@ from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem, read_problem
 from plough_opt.problem_file.schema import measures_of
 from plough_opt.problem_file.written import problem_of, tables_of
-from plough_opt.soil.geometry import Solid, Wedge
+from plough_opt.soil.geometry import Wedge
 
 if TYPE_CHECKING:
     from plough_opt.studies.tradeoff import TradeOff
@@ -307,9 +304,7 @@ def place(value: float, lower: float, upper: float, log: bool) -> float:
     return (value - lower) / (upper - lower)
 
 
-_BLUE, _RED, _GREEN, _PURPLE, _ORANGE, _, _GREY = COLOURS
-# Sides of the polygon that represents a cone's base: a circle at the resolution of a screen.
-_SIDES: Final = 96
+_BLUE, _RED, _GREEN, _PURPLE = COLOURS[:4]
 # Significant digits of the data: more than a screen resolves.
 _DIGITS: Final = 6
 
@@ -352,34 +347,6 @@ def _chart(run: Run, panel: Panel) -> dict[str, Any]:
 
 def _group(label: str, colour: str, size: int, x: Iterable[float], y: Iterable[float]) -> dict[str, Any]:
     return {"label": label, "colour": colour, "size": size, "x": _short(x), "y": _short(y)}
-
-
-def bodies(report: Report) -> list[dict[str, Any]]:
-    """Return triangle meshes of the share, its cone and the compacted soil around it, in metres."""
-    scene = report.run.scene
-    cone = scene.cone.mesh(segments=_SIDES)
-    found = [
-        _body("share", "Share", _BLUE, 1.0, scene.share.mesh(), edges=True),
-        _body("cone", "Equivalent cone", _GREY, 1.0, cone, edges=False),
-    ]
-    if not scene.law.lacks("loosened_radius"):
-        radius = float(scene.loosened_radius) / cone.vertices[1:, 1:].max()
-        front = Solid(cone.vertices * [1.0, radius, radius], cone.polygons[:_SIDES], _SIDES)
-        found.append(_body("front", "Compacted soil", _ORANGE, 0.3, front, edges=False))
-    return found
-
-
-def _body(key: str, label: str, colour: str, opacity: float, solid: Solid, *, edges: bool) -> dict[str, Any]:
-    lines = {tuple(sorted(pair)) for p in solid.polygons for pair in zip(p, (*p[1:], p[0]), strict=True)}
-    return {
-        "id": key,
-        "label": label,
-        "colour": colour,
-        "opacity": opacity,
-        "vertices": _short(solid.vertices.ravel()),
-        "triangles": solid.triangles.ravel().tolist(),
-        "edges": [number for pair in sorted(lines) for number in pair] if edges else [],
-    }
 
 
 def motion(run: Run) -> dict[str, Any]:
@@ -441,7 +408,7 @@ def page(report: Report) -> str:
         model = page_model(report.problem)
     except InputError as refusal:
         why = str(refusal)
-    drawn = {"charts": charts(report), "bodies": bodies(report), "front": front(report), "motion": motion(report.run)}
+    drawn = {"charts": charts(report), "front": front(report), "motion": motion(report.run)}
     shown = drawn | {"model": model and explored(report, model)}
     return _rendered("page.html", report=report, c=_CONTENT, data=shown, model=model, why=why)
 
@@ -513,27 +480,6 @@ def asset(name: str) -> str:
 # --- commands and files ---
 
 
-def report(options: argparse.Namespace) -> None:
-    """Optimise a file (or simulate it if it has no variables), and write the page.
-
-    Raises:
-        InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, or the page
-            cannot be written.
-    """
-    problem, path = page_of_command(options, check_file(options.output, "page", ".html"))
-    if options.json:
-        print(json_text({"wrote": [str(path)], "provenance": _provenance(problem, options.seed)}))
-    wrote(path)
-
-
-def page_of_command(options: argparse.Namespace, target: Path) -> tuple[Problem, Path]:
-    """Write the page of a command's file; return the problem, and the page's path."""
-    optional("jinja2")  # before anything is read
-    problem = read(options)
-    with progress() as notify:
-        return problem, write_page(problem, target, notify, seed=options.seed)
-
-
 def explore(
     question: Problem | str | Path | Scene | Design,
     path: str | Path,
@@ -589,7 +535,7 @@ def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> 
         best, _ = problem.optimise(notify, seed=seed)
         text = design_page(best, model, problem.title, f"{problem.origin.file}, {_made(seed)}")
     else:
-        text = page(replace(reported(problem, notify, seed), provenance=_provenance(problem, seed)))
+        text = page(replace(reported(problem, notify, seed), provenance=provenance(problem, seed)))
     return write_file(path, "page", text)
 
 
@@ -612,7 +558,7 @@ def _check(problem: Problem) -> None:
         raise InputError(f"{problem.name}: nothing to look for: add a table [minimise] or [trade_off]")
 
 
-def _provenance(problem: Problem, seed: int) -> dict[str, str]:
+def provenance(problem: Problem, seed: int) -> dict[str, str]:
     """Return heading -> text of everything that identifies how a report was made."""
     changes = {"changed by --set": "; ".join(problem.overrides)} if problem.overrides else {}
     return {

@@ -155,7 +155,6 @@ USAGE = [
     ([], "usage: plough-opt"),
     (["check"], "usage: plough-opt"),
     (["simulate", "a.toml", "-q", "-v"], "not allowed"),
-    (["completion", "cmd"], "bash"),
     (["optimis"], "'optimis' is unknown: did you mean 'optimise'"),
     (["optimise", "a.toml", "--over", "worse"], "'worse' is unknown: did you mean 'worst'"),
 ]
@@ -277,7 +276,7 @@ def test_environments_that_cannot_be_are_bad_input(command, tmp_path):
         assert list(tmp_path.iterdir()) == []
 
 
-# --- what a command says beside its results, that it is under way, and what editors and shells complete by ---
+# --- what a command says beside its results, and that it is under way ---
 
 
 def test_quiet_leaves_results_alone_and_the_error_stream_empty(tmp_path):
@@ -302,15 +301,6 @@ def test_verbose_says_each_step_and_twice_each_run_and_leaves_logging_as_it_was(
     assert "estimated error" not in once
     assert "estimated error" in twice
     assert (library.level, library.handlers, own.level) == before
-
-
-def test_bash_completes_commands_and_options(tmp_path):
-    script = tmp_path / "completion.sh"
-    script.write_text(printed("completion", "bash"), encoding="utf-8")
-    for words, last, expected in (("opt", 1, "optimise optimize"), ("optimise --sen", 2, "--sensitivity")):
-        line = f"source {script}; COMP_WORDS=(plough-opt {words}); COMP_CWORD={last}; _shtab_plough_opt"
-        shell = ["bash", "-c", f'{line}; echo "${{COMPREPLY[@]}}"']
-        assert subprocess.check_output(shell, text=True).split() == expected.split()
 
 
 @pytest.fixture
@@ -388,7 +378,7 @@ def started(*arguments):
 
 HELP = [
     (["--help"], "\n    calibrate "), (["--version"], f"plough-opt {po.__version__}\n"),
-    (["check", "--help"], '--set KEY="VALUE"'), (["calibrate", "--help"], "30 %"), (["completion", "bash"], "--judge"),
+    (["check", "--help"], '--set KEY="VALUE"'), (["calibrate", "--help"], "30 %"),
     (["optimise", "--help"], "--judge"), (["sweep", "--help"], "--scheduler"), (["export", "--help"], "FMU"),
 ]  # fmt: skip
 
@@ -396,7 +386,7 @@ HELP = [
 @pytest.mark.parametrize(
     ("arguments", "shown"), HELP, ids=lambda value: "-".join(value) if isinstance(value, list) else ""
 )
-def test_help_and_completion_import_no_numerical_library_and_no_room(arguments, shown):
+def test_help_imports_no_numerical_library_and_no_room(arguments, shown):
     out, modules = started(*arguments)
     assert shown in out
     assert not modules & NUMERICAL
@@ -409,7 +399,7 @@ NOT_USED = [
     (["check", SUBSOILER], "3 requirements", {"matplotlib", "pint", "scipy", "plough_opt.design", *STUDIES}),
     (["simulate", SUBSOILER], "mean draft", {"matplotlib", "pint", "scipy", "plough_opt.design", *STUDIES}),
     (["optimise", SUBSOILER, "--search", "near", *BRIEF], "Best design", {"matplotlib", "pint"}),
-    (["report", SUBSOILER, *FIXED, "--json", "-o", "a.html"], "a.html", {"matplotlib", "pint"}),
+    (["explore", SUBSOILER, *FIXED, "--json", "-o", "a.html"], "a.html", {"matplotlib", "pint"}),
 ]
 
 
@@ -470,7 +460,6 @@ def test_bad_input_is_refused_in_a_sentence_before_anything_is_computed(tmp_path
 # --- commands that need an extra say so first ---
 
 MISSING = [
-    ("report FILE --output a.html", "jinja2", "report"),
     ("explore FILE --output a.html", "jinja2", "report"),
     ("export FILE --to openmdao --output a", "openmdao", "openmdao"),
     ("export FILE --to stl --output a.stl", "trimesh", "parts"),

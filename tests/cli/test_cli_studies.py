@@ -297,7 +297,7 @@ def lines(static, folder):
     front.write_text(TRADE, encoding="utf-8")
     return {
         "show": ["show", saved],
-        "compare": ["compare", saved, other],
+        "show several": ["show", saved, other],
         "simulate": ["simulate", static],
         "optimise": ["optimise", static],
         "tradeoff": ["tradeoff", front],
@@ -313,8 +313,7 @@ def lines(static, folder):
 # Options of every command with a result, and what others have: these write their own files, or print JSON or a text.
 ALL = {"--json", "--csv", "--output", "--plot"}
 OTHERS = {
-    "soils": ALL - {"--plot"}, "init": {"--json"}, "schema": set(), "completion": set(),
-    "export": {"--json", "--output"}, "report": {"--json", "--output"}, "explore": {"--json", "--output"},
+    "soils": ALL - {"--plot"}, "init": {"--json"}, "export": {"--json", "--output"}, "explore": {"--json", "--output"},
 }  # fmt: skip
 
 

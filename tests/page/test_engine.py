@@ -293,7 +293,7 @@ def test_the_density_ratio_follows_the_compression_test_in_its_range(tmp_path):
 TOOLS = ("typescript@5.9", "eslint@9", "@eslint/js@9")
 # The scripts of the page share one scope, and those of its workers another.
 SCOPES = {
-    "page": (("charts.js", "solid.js", "motion.js", "explore.js"), "declare const uPlot: any, ogl: any;"),
+    "page": (("charts.js", "motion.js", "explore.js"), "declare const uPlot: any;"),
     "workers": (("engine.js", "worker.js"), "declare const MODEL: any, FUNCTIONS: any;"),
 }
 CHECKED = ("--allowJs", "--checkJs", "--noEmit", "--target", "es2022", "--lib", "es2023,dom,dom.iterable")

@@ -532,7 +532,7 @@ def test_commands_print_and_save_it(tmp_path):
     assert cells(printed("optimise", path).partition("best from the catalogue")[2], "share.height")[1:] == [
         f"{height:.5g} m", "catalogue",
     ]  # fmt: skip
-    printed("report", path, "-o", tmp_path / "a.html")
+    printed("explore", path, "-o", tmp_path / "a.html")
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
     shown = f"{height:.5g}\N{NO-BREAK SPACE}m"
     assert f"From the catalogue: share height {shown} (objective +" in page

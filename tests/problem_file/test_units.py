@@ -206,7 +206,7 @@ def test_a_change_can_mend_a_mistake_of_the_file(read):
 
 # --- the JSON schema of problem files against an independent validator, and against what reading a file refuses ---
 
-SCHEMA = json.loads(printed("schema"))
+SCHEMA = json.loads(printed("init", "--schema"))
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 

@@ -188,7 +188,7 @@
       return make("li", {}, light, ` ${one.label} ${shown(one, v)}, ${pretty(one.words)}, margin ${left}`);
     }));
     draw();
-    if (solid) solid(solids(values, found));
+    if (single) outlined(values, found);
     if (model.file) place("command").value = command();
     later();
   }
@@ -244,22 +244,16 @@
     }
   }
 
-  /* The bodies of the present design, as geometry.py draws them. */
-  function solids(values, found) {
-    const given = keyed(values), [angle, chisel, h] = ["share.wedge_angle", "share.chisel_angle", "share.height"].map((name) => given[name]);
-    const slope = Math.tan(found.half_angle), ridge = h / Math.cos(chisel), width = ridge * Math.tan(angle);
-    const half = Math.asin(Math.min(1, 2 * Math.PI * Math.cos(chisel) ** 3 * (slope / Math.tan(angle)) ** 2)) / 2;
-    const [side, below] = [width * Math.sin(half), width * Math.cos(half)], end = [ridge * Math.cos(chisel), ridge * Math.sin(chisel)];
-    const corner = [end[0] + below * Math.sin(chisel), end[1] - below * Math.cos(chisel)];
-    const share = [0, 0, 0, end[0], 0, end[1], corner[0], side, corner[1], corner[0], -side, corner[1]];
-    const scaled = ({ vertices }, radius) => {
-      const [long, rim] = [0, 1].map((axis) => Math.max(...vertices.filter((_, i) => i % 3 === axis)));
-      return vertices.map((v, i) => i % 3 ? v / rim * radius : v / long * h);
-    };
-    return DATA.bodies.map((body) => ({ ...body,
-      vertices: body.id === "share" ? share : scaled(body, body.id === "cone" ? h * slope : found.loosened_radius) }));
+  /* The section of the present cone and of the soil that it loosens; the largest so far decide the scale. */
+  const box = { long: 0, wide: 0 };
+  function outlined(values, found) {
+    const long = keyed(values)["share.height"], radius = long * Math.tan(found.half_angle), wide = found.loosened_radius ?? radius;
+    Object.assign(box, { long: Math.max(box.long, long), wide: Math.max(box.wide, wide, radius) });
+    const svg = place("now_section").querySelector("svg"), outline = (half) => `M0 0L${long} ${half}V${-half}Z`;
+    svg.setAttribute("viewBox", `0 ${-box.wide} ${box.long} ${2 * box.wide}`);
+    svg.querySelector(".front").setAttribute("d", outline(wide));
+    svg.querySelector(".cone").setAttribute("d", outline(radius));
   }
-  const solid = single && solidView(place("now_solid"), DATA.bodies);
 
   /* The landscape: a sample of the box, computed anew when soil or scene change, and a curve through the present design. */
   const axes = [place("across"), place("up")];
@@ -382,13 +376,17 @@
     return [head, ...Array.from(now.rows.time, (_, k) => names.map((name) => now.rows[name][k]).join(","))].join("\n") + "\n";
   }
   function stl() {
-    const { vertices, triangles } = solids(now.x, now).find((one) => one.id === "share");
-    const corner = (k) => `vertex ${[0, 1, 2].map((i) => 1000 * vertices[3 * k + i]).join(" ")}`;
-    const facets = [];
-    for (let t = 0; t < triangles.length; t += 3) {
-      const corners = [0, 1, 2].map((i) => corner(triangles[t + i])).join("\n");
-      facets.push(`facet normal 0 0 0\nouter loop\n${corners}\nendloop\nendfacet`);
-    }
+    /* As geometry.py draws the body between the faces. */
+    const given = keyed(now.x), [angle, chisel, h] = ["share.wedge_angle", "share.chisel_angle", "share.height"].map((name) => given[name]);
+    const slope = Math.tan(now.half_angle), ridge = h / Math.cos(chisel), width = ridge * Math.tan(angle);
+    const half = Math.asin(Math.min(1, 2 * Math.PI * Math.cos(chisel) ** 3 * (slope / Math.tan(angle)) ** 2)) / 2;
+    const [side, below] = [width * Math.sin(half), width * Math.cos(half)], end = [ridge * Math.cos(chisel), ridge * Math.sin(chisel)];
+    const corner = [end[0] + below * Math.sin(chisel), end[1] - below * Math.cos(chisel)];
+    const corners = [[0, 0, 0], [end[0], 0, end[1]], [corner[0], side, corner[1]], [corner[0], -side, corner[1]]];
+    const facets = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]].map((three) => {
+      const lines = three.map((k) => `vertex ${corners[k].map((x) => 1000 * x).join(" ")}`).join("\n");
+      return `facet normal 0 0 0\nouter loop\n${lines}\nendloop\nendfacet`;
+    });
     return `solid share\n${facets.join("\n")}\nendsolid share\n`;
   }
   /** Force and deflection of the present design and the pinned ones as curves in a frame, with the ends of the axes. */

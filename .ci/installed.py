@@ -39,7 +39,7 @@ WORK = {
     f"tradeoff a.toml --points 5 {TRADED} {FEWER}": "loosened",
     "sweep a.toml --over share.height='0.2..0.3 m:3' --workers 2 --csv swept.csv": "swept.csv",
     f"calibrate a.toml {FEWER} --data draft.csv --unknown soil.cohesion='1..80 kPa'": "cohesion",
-    "accuracy a.toml --thin --seconds 0.02 --set scene.duration='0.2 s'": "harmonic",
+    "accuracy a.toml --seconds 0.02 --set scene.duration='0.2 s'": "efficient",
     "export a.toml --to c -o c_code": "c_code",
     "export a.toml --to casadi -o a.casadi": "a.casadi",
     "export a.toml --to javascript -o a.mjs": "a.mjs",

@@ -12,7 +12,6 @@ from .core.errors import (
     NotConverged as NotConverged,
     PloughError as PloughError,
 )
-from .studies.accuracy.study import Refinement as Refinement, refine as refine
 from .design import Design as Design, LocalOptimum as LocalOptimum, Optimum as Optimum
 from .exchange.building import component as component
 from .exchange.component import Component as Component, Input as Input, Output as Output
@@ -53,8 +52,8 @@ from .soil.strength import RandomStrength as RandomStrength, Spectrum as Spectru
 from .soil.soil import Soil as Soil, named_soil as named_soil, soil_names as soil_names
 from .soil.strength import StrengthRecord as StrengthRecord, strength_spectrum as strength_spectrum
 from .soil.strength import StrengthWave as StrengthWave
-from .studies.accuracy.result import AccuracyStudy as AccuracyStudy
-from .studies.accuracy.study import study_accuracy as study_accuracy, study_design as study_design
+from .studies.accuracy import AccuracyStudy as AccuracyStudy, study_accuracy as study_accuracy
+from .studies.accuracy import study_design as study_design
 from .studies.calibration import (
     Calibration as Calibration,
     Fit as Fit,

@@ -240,8 +240,6 @@ WRONG = {
     "backwards": (lambda: _record(np.ones(40), LINE[::-1]), "must increase, but 38 m follows 39 m"),
     "long and uneven": (lambda: _record(np.ones(10_001), np.arange(10_001.0) ** 1.1), "10001 points at uneven"),
     "a wide base": (lambda: po.strength_spectrum(_record(1.0 + LINE % 2), base_diameter=39.0), "longer than 39 m"),
-    "a text to refine": (lambda: po.refine(hex, [2, 4]), "returned '0x8' at size 8, but must return numbers"),
-    "a symbol to refine": (lambda: po.refine(lambda _: ca.SX.sym("x"), [2]), "'x' holds symbols"),
     "a search in bytes": (lambda: effort.searched(b"near", ()), "search = b'near' must be 'auto'"),
     "a search of nothing": (lambda: effort.searched([], ()), r"search = \[\] must be 'auto'"),
     "limits": (lambda: po.Output("mean_draft", lower=2.0, upper=1.0), "'mean_draft': its limits .* 2 is above"),

@@ -165,12 +165,10 @@ def tradeoff(options: argparse.Namespace) -> None:
 def accuracy(options: argparse.Namespace) -> None:
     """Compare error and time of integration methods on a file's scene at its guess, or on its design."""
     problem = read(options)
-    from plough_opt.studies.accuracy.study import study_accuracy, study_design
+    from plough_opt.studies.accuracy import study_accuracy, study_design
 
     with progress() as notify:
-        common: dict[str, Any] = {
-            "wanted": options.error, "title": problem.title, "progress": notify, "thin": options.thin,
-        }  # fmt: skip
+        common: dict[str, Any] = {"wanted": options.error, "title": problem.title, "progress": notify}
         if options.design:
             study = study_design(problem.design()[0], limit=10.0 * options.seconds, **common)
         else:

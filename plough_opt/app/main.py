@@ -272,10 +272,9 @@ def _explore(verb: _Parser) -> None:
 
 def _accuracy(verb: _Parser) -> None:
     verb.option("error", "E", "relative error to reach (default: 1e-6)", type=float, default=1e-6)
-    limit = "time limit of one use of a method; a search may take ten times as long (default: 1)"
+    limit = "time limit of one run of a method; a search may take ten times as long (default: 1)"
     verb.option("seconds", "S", limit, type=float, default=1.0)
-    verb.switch("design", "study the optimum of the design instead of its scene")
-    verb.switch("thin", "try only every other setting")
+    verb.switch("design", "study how often searches of growing effort find the best design instead")
     verb.results()
 
 

@@ -39,7 +39,7 @@ _CLASSES: Final = {
     "optimum": "design.result.optimum:Optimum",
     "rounded optimum": "design.result.optimum:Rounded",
     "trade-off": "studies.tradeoff.result:TradeOff",
-    "accuracy study": "studies.accuracy.result:AccuracyStudy",
+    "accuracy study": "studies.accuracy:AccuracyStudy",
     "calibration": "studies.calibration.fit:Fit",
     "robust optimum": "studies.uncertainty.result:RobustOptimum",
 }

@@ -94,11 +94,6 @@ def problem():
     return po.read_problem(PROBLEMS / "cotton_subsoiler.toml", ["scene.duration=0.1 s"])
 
 
-@functools.cache
-def refined():
-    return po.refine(lambda n: 1.0 + 1.0 / n, [1, 2, 4])
-
-
 FRESH = po.Design()
 
 
@@ -193,7 +188,6 @@ def _functions():
         "load": (po.load, {"path": "none.json"}),
         "named_soil": (po.named_soil, {"name": "serozem"}),
         "read_problem": (po.read_problem, {"path": PROBLEMS / "cotton_subsoiler.toml"}),
-        "refine": (po.refine, {"quantity": lambda n: 1.0 / n, "sizes": [1, 2, 4]}),
         "simulate": (po.simulate, {"scene": SCENE, "duration": 1.0, "outputs": 40}),
         **_group("plots.", _of(po.plots, "plot_share plot_run plot_optimum"), scene=SCENE, run=run(), best=optimum()),
         **_group("uncertainty.", _of(uncertainty, "expected standard_deviation"), values=SAMPLES),
@@ -202,8 +196,8 @@ def _functions():
                                      "search": "local"}),
         "calibrate": (po.calibrate, fitted_to),
         "sweep": (po.sweep, {"what_to_sweep": over, "over": {"x": [1.0, 2.0]}, "executor": INLINE, "workers": 1}),
-        "study_accuracy": (po.study_accuracy, {"scene": SCENE, "duration": 0.1, "outputs": 4, "thin": True}),
-        "study_design": (po.study_design, {"design": design()[0], "limit": 0.1, "thin": True}),
+        "study_accuracy": (po.study_accuracy, {"scene": SCENE, "duration": 0.1, "outputs": 4, "allowance": 0.01}),
+        "study_design": (po.study_design, {"design": design()[0], "limit": 0.1, "seeds": 1}),
     }  # fmt: skip
 
 
@@ -232,7 +226,6 @@ def _methods():
         **_group("Problem.", _of(problem(), "values scene simulate"), changes={"share.height": 0.2}),
         **_group("Problem.", _of(problem(), "design component"), inputs=["share.height"], outputs=["mean_draft"]),
         "Range.at": (po.Range(1.0, 2.0, 3).at, {"fraction": 0.5}),
-        "Refinement.size_for": (refined().size_for, {"error": 0.3}),
         **_group("Robust.", _of(uncertain, "expected mean_plus values"), **reach, at={}, kappa=1.0,
                  properties=[[1.5e4, 1350.0]]),
         "Robust.require_probability": (
@@ -363,7 +356,7 @@ def test_every_public_name_has_a_recipe():
     results = {
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
         "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "MotionEquation", "NotConverged",
-        "Optimum", "OwnResistance", "PloughError", "Problem", "Refinement", "ResistanceLaw", "Run",
+        "Optimum", "OwnResistance", "PloughError", "Problem", "ResistanceLaw", "Run",
         "ShareInSoil", "SoilReaction", "Sweep", "TradeOff", "elastic", "export", "expressions", "laws",
         "plastic", "plots", "soil_names", "uncertainty",
     }  # fmt: skip

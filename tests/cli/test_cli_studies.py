@@ -20,7 +20,7 @@ import plough_opt as po
 from plough_opt.app.main import parser
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.tables import write_frame
-from plough_opt.studies.accuracy.result import AccuracyStudy
+from plough_opt.studies.accuracy import AccuracyStudy
 from plough_opt.studies.tradeoff.front import distances
 
 # --- `plough-opt accuracy`: tables, advice and files ---
@@ -30,11 +30,11 @@ def test_tables_advice_and_files(static, tmp_path):
     output = tmp_path / "deep" / "cost.json"
     moving = ("--set", "effects.motion=true", "--set", "scene.duration=0.1 s")
     uncertain = "uncertain.soil.cohesion={ distribution = 'normal', mean = '20 kPa', std = '1 kPa' }"
-    options = ("--thin", "--error", "1e-5", "--seconds", "0.05", "--output", output)
+    options = ("--error", "1e-5", "--seconds", "0.05", "--output", output)
     done = call("accuracy", static, *options, *moving, "--set", uncertain)
     assert done.status == 0
-    assert "averages of the motion: relative error against time" in done.out
-    (advice,) = (line for line in done.out.splitlines() if line.startswith("averages of the motion: for 1e-05 take "))
+    assert "Error against time (of the reference: " in done.out
+    (advice,) = (line for line in done.out.splitlines() if line.startswith("for 1e-05 take "))
     assert "the default" in advice
     assert "note: the study uses the nominal soil" in done.out
     assert "casadi " in done.out.splitlines()[-1]
@@ -45,20 +45,22 @@ def test_tables_advice_and_files(static, tmp_path):
 
 
 def test_a_file_without_a_motion_has_nothing_to_compare(static):
-    assert "no motion to integrate" in printed("accuracy", static)
+    done = call("accuracy", static)
+    assert (done.status, done.out) == (2, "")
+    assert "no motion to integrate" in done.said
 
 
 def test_a_design_instead_of_a_scene(static, tmp_path):
     output = tmp_path / "cost.json"
     out = printed("accuracy", static, "--design", "--seconds", "0.3", "--output", output)
-    for words in ("objective of the optimum: relative error", "variables of the optimum: relative", "auto (default)"):
+    for words in ("Effort against chance", "designs tried", "search, auto (default)"):
         assert words in out
     study = AccuracyStudy.load(output)
     assert (study.duration, study.title) == (None, "Quasi-static")
     # One basin: every search finds its best.
-    assert [row.right for row in study.thoroughness] == [row.asked for row in study.thoroughness]
-    assert study.thoroughness[0].search == "near"
-    assert all(max(entry.errors.values()) < 1e-9 for entry in study.entries if entry.failure is None)
+    assert {entry.right for entry in study.entries} == {1.0}
+    assert study.entries[0].setting == "near"
+    assert all(entry.error < 1e-9 for entry in study.entries)
 
 
 # --- `plough-opt optimise --sensitivity`: elasticities of every quantity of the file and of the limits that decide ---
@@ -302,7 +304,7 @@ def lines(static, folder):
         "optimise": ["optimise", static],
         "tradeoff": ["tradeoff", front],
         "sweep": ["sweep", static, "--over", "scene.tow_speed=1..2 m/s:2", "--store", folder / "s.db"],
-        "accuracy": ["accuracy", static, "--thin", *MOVING],
+        "accuracy": ["accuracy", static, *MOVING],
         "calibrate": ["calibrate", PROBLEMS / "calibration.toml", *DRAFTS],
         "check": ["check", static],
         "check --effects": ["check", static, "--effects"],

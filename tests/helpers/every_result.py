@@ -71,6 +71,6 @@ EVERY = {
     "BatchResult": batch,
     "Fit": fit,
     "TradeOff": front,
-    "AccuracyStudy": lambda: po.study_accuracy(SCENE, 0.1, thin=True, allowance=0.01, derivatives=False),
+    "AccuracyStudy": lambda: po.study_accuracy(SCENE, 0.1, allowance=0.01),
     "RobustOptimum": robust,
 }

@@ -27,6 +27,7 @@ class Forces:
         self.waves = [(number(w.amplitude), turn / number(w.wavelength), number(w.phase)) for w in waves]
         self.width = number(e.contact.width) if isinstance(e.contact, po.Smooth) else None
         self.breakaway = number(e.contact.breakaway) if isinstance(e.contact, po.StickSlip) else None
+        self.own = e.own
         # The furthest travel of a share that has turned back, or has been wholly in the soil.
         self.behind = -math.inf
 
@@ -55,11 +56,13 @@ class Forces:
     def soil(self, travel, speed):
         """Return the resistance without the added mass."""
         strength = self.strength(travel) * (1 + self.linear * speed) * (1 + self.rate * speed**2)
-        return self.step(speed) * self.buried(travel) ** 2 * (strength + self.drag * speed**2)
+        own = sum(each.force(travel, speed) for each in self.own)
+        return self.step(speed) * self.buried(travel) ** 2 * (strength + self.drag * speed**2) + own
 
     def hold(self, travel):
         """Return the mount force at which a sticking share moves."""
-        return self.breakaway * self.buried(travel) ** 2 * self.strength(travel)
+        own = sum(each.at_rest(travel) for each in self.own)
+        return self.breakaway * self.buried(travel) ** 2 * self.strength(travel) + own
 
     def carried(self, travel):
         return self.added * self.buried(travel) ** 3
@@ -81,7 +84,8 @@ class Forces:
         travel, speed = 0 * v, (0 * v if self.first == "rest" else v)
         if self.first == "equilibrium":
             strength = self.static * (1 + self.linear * v) * (1 + self.rate * v**2)
-            travel = -self.step(v) * (strength + self.drag * v**2) / self.k
+            own = sum(each.force(0 * v, v) for each in self.own)
+            travel = -(self.step(v) * (strength + self.drag * v**2) + own) / self.k
         if self.breakaway is None or speed > 0:
             return travel, speed, SLIP
         pull = self.static if self.first == "equilibrium" else self.pull(0, travel, speed)

@@ -92,12 +92,14 @@ def follow(scene, duration, outputs=20, tolerance=TIGHT):
     """Return the `Motion` of a numeric scene."""
     share = _Share(scene)
     times = np.linspace(0.0, duration, outputs + 1)
-    rough, _ = _path(share, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
-    about = tuple(rough[2:4, -1] / duration)
-    columns, changes = _path(share, (duration, times), about, tolerance)
-    sums = columns[:7, -1]
-    means = sums[2:4] / duration
-    spreads = np.sqrt(np.maximum(sums[4:6] / duration - (means - np.array(about)) ** 2, 0.0))
+    means, squares = np.array([share.static, share.static / share.k]), None
+    for allowed in (1e3 * tolerance, 1e2 * tolerance, tolerance):
+        # Squares about the mean that the pass before found, integrated relative to themselves.
+        columns, changes = _path(share, (duration, times), (means, squares), allowed)
+        sums, before = columns[:7, -1], means
+        means = sums[2:4] / duration
+        squares = np.maximum(sums[4:6] - duration * (means - before) ** 2, 0.0)
+    spreads = np.sqrt(squares / duration)
     averages = means[0], spreads[0], means[1], spreads[1], sums[6] / duration
     names = ("travel", "speed", "mode", "opening", "mount_force", "soil_resistance")
     arrays = dict(zip(names, (*columns[:2], *columns[7:]), strict=True))
@@ -149,14 +151,16 @@ def _path(share, when, about, tolerance):
 
     A column holds the state, the mode, the opening, the mount force and the soil's resistance.
     """
-    duration, times = when
+    (duration, times), (means, squares) = when, about
     share.behind = -math.inf
     travel, speed, mode = share.start()
     furthest, entered = travel, False
     hardness = math.sqrt(abs(share.k) * share.m)
     force = share.static + share.v0 * hardness + 1e-9
     z = force / abs(share.k)
-    sums = [size * duration for size in (force, z, force**2, z**2)]
+    largest = duration * np.array([force, z]) ** 2
+    known = largest if squares is None else np.clip(squares, 1e-12 * largest, largest)
+    sums = [force * duration, z * duration, *known]
     sizes = np.array([z, force / hardness, *sums, force * max(share.v0 * duration, z)])
     # The travel's own size does not matter: it is its difference from the strut's path that pulls.
     relative = np.full(7, max(tolerance, 2.3e-14))
@@ -184,10 +188,10 @@ def _path(share, when, about, tolerance):
             if now < turned + rest:
                 ends, until = [one for one in ends if one[0] != "turn"], min(end, turned + rest)
             before = now, x
-            now, x, which = _piece(share.rates(mode, about), (now, until), x, ends, settings)
+            now, x, which = _piece(share.rates(mode, means), (now, until), x, ends, settings)
             if which == "turn" and x[1] < 0.0:
                 last = now - 1e-5 * (now - before[0])
-                now, x, which = _piece(share.rates(mode, about), (before[0], last), before[1], ends[:1], settings)
+                now, x, which = _piece(share.rates(mode, means), (before[0], last), before[1], ends[:1], settings)
             if which in (None, "turn", "back", "forth", "buried"):
                 turned, entered = (now if which == "turn" else turned), entered or which == "buried"
                 share.behind = {"back": x[0], "buried": x[0], "forth": -math.inf}.get(which, share.behind)

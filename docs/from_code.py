@@ -103,7 +103,6 @@ KEYS = {
     "A quantity in [variables]": ("VariableTable", ""),
     "A result in [minimise]": ("TermTable", ""),
     "A result in [require]": ("LimitTable", ""),
-    "A name in [measures]": ("MeasureTable", ""),
 }
 
 

@@ -299,7 +299,7 @@ def test_messages_and_problem_files_do_not_command_a_terminal(tmp_path):
             source.replace('"Subsoiler for cotton on serozem"', quoted),
             source.replace('name = "serozem"', f"name = {quoted}"),
             source.replace("loosened_radius = {", f"{quoted} = {{"),
-            f'{source}\n[measures]\n{quoted} = {{ formula = "mean_draft", unit = {quoted} }}\n',
+            f"{source}\n[{quoted}]\n{quoted} = {quoted}\n",
         ]
         folder = tmp_path / (f"{k}" + re.sub("[/\x00]", "", text))
         folder.mkdir()

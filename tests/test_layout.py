@@ -83,9 +83,7 @@ print(po.simulate(po.Scene(po.named_soil("serozem"), share, stiffness=5e4, mass=
         {"matplotlib", "pint", "pydantic", "rich", "scipy"},
     """from pathlib import Path
 for path in Path("problems").glob("*.toml"):
-    problem = po.read_problem(path)
-    for share in problem.shares.values() or [problem]:
-        share.scene()""": {"pint"},
+    po.read_problem(path).scene()""": {"pint"},
 }  # fmt: skip
 
 

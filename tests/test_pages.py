@@ -251,7 +251,6 @@ LIMITS = {
         reading._MAX_LENGTH, source._MAX_LISTED,
         most_outputs(),
         quantities.MOST_WAVES,
-        schema._MAX_LENGTH, schema._MAX_DEPTH, schema._MAX_POWER,
     ),
     "CSV files of measurements and penetrometer readings": (
         tables._MOST_BYTES, tables._MOST_LISTED,

@@ -90,13 +90,10 @@ def check(options: argparse.Namespace) -> None:
     problem = read(options)
     values = {key: float(value) for key, value in problem.values().items()}
     notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem), *problem.reliance)
-    drafts = {name: tables.drafts_by_law(part.scene()) for name, part in problem.parts.items()}
-    laws = drafts if problem.shares else drafts[""]
+    laws = tables.drafts_by_law(problem.scene())
     plain: dict[str, Any] = {"title": problem.title, "quantities": values, "laws": laws, "notes": notes}
-    page = tables.check_page(problem, drafts)
-    plot: Callable[[], Figure] | None = None if problem.shares else lambda: drawn("plot_share", problem.scene())
-    units = [EVERY[key if key in EVERY else key.partition(".")[2]].unit for key in values]
-    columns = {"quantity": [*values], "value": [*values.values()], "unit": units}
+    page = tables.check_page(problem, laws)
+    columns = {"quantity": [*values], "value": [*values.values()], "unit": [EVERY[key].unit for key in values]}
     frame: Callable[[], Any] = partial(data_frame, columns, {})
     if options.effects:
         with progress() as notify:
@@ -105,7 +102,7 @@ def check(options: argparse.Namespace) -> None:
         page = replace(page, parts=(*page.parts, *tables.effects_parts(costs)))
         plain["effects"] = rows = [asdict(cost) for cost in costs]
         frame = partial(data_frame, {key: [row[key] for row in rows] for key in rows[0]}, {})
-    give(options, page, lambda: json_text(plain), plot, frame)
+    give(options, page, lambda: json_text(plain), lambda: drawn("plot_share", problem.scene()), frame)
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -113,7 +110,7 @@ def simulate(options: argparse.Namespace) -> None:
     problem = read(options)
     with progress() as notify:
         notify("simulating", 0.0)
-        run = problem.machine() if problem.shares else problem.simulate()
+        run = problem.simulate()
     page = tables.run_page(problem, run)
     give(options, page, lambda: run.to_json(page), run.plot, run.to_dataframe)
 
@@ -356,7 +353,6 @@ def _best(problem: Problem, *, bought: bool) -> Scene:
     with progress() as notify:
         if problem.table.uncertain is None:
             best, run = problem.optimise(notify)
-            assert isinstance(run, Run)  # `problem.scene()` in `export` refuses several shares
             if not bought:
                 return run.scene
             if best.bought is None:
@@ -451,7 +447,7 @@ def _design(saved: Any) -> LocalOptimum | None:
 def _runs(saved: Any) -> Mapping[str, Run]:
     """Return share -> run of a result, with "" for an unnamed share; empty if it has no run."""
     run = saved if isinstance(saved, Run | Machine) else getattr(saved, "run", None)
-    return {} if run is None else tables.runs_of(run)
+    return {} if run is None else run.runs if isinstance(run, Machine) else {"": run}
 
 
 def _numbers(saved: Any) -> dict[str, tuple[float, Display | None]]:

@@ -27,7 +27,7 @@ from plough_opt.motion.effects.own import slopes
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.run import WITHOUT_RANDOM, Averages, Machine
+from plough_opt.motion.run import WITHOUT_RANDOM, Averages
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.integrators import assemble, quasi_static
 from plough_opt.motion.solvers.orbit import near_orbit
@@ -36,7 +36,6 @@ from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS, Timeline,
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.problem import FileVariable
-from plough_opt.problem_file.schema import measures_of, total_of
 from plough_opt.problem_file.written import fixed_variables
 from plough_opt.soil.soil import compression_test
 
@@ -45,9 +44,6 @@ ROWS: Final = ("travel", "speed", "deflection", "mount_force", "soil_resistance"
 AVERAGES: Final = tuple(Averages.__dataclass_fields__)
 # Results that every page shows if the law of resistance gives them, besides those that the file names.
 _SHOWN: Final = (*AVERAGES, "specific_draft", "loosened_radius", "half_angle", "moving_mass")
-
-# Results over time of several shares -> their picture, unit and mean.
-_CURVES: Final = {"mount_force": ("force", "N", "mean_draft"), "deflection": ("deflection", "m", "mean_deflection")}
 
 # Combinations of switched effects on a page, all of five effects, and operations of their formulas: about 700 kB.
 _MOST_VARIANTS: Final = 31
@@ -202,34 +198,6 @@ def design_model(
     return PageModel(f"{source}\nconst FUNCTIONS = {{ whole: {name} }};\n", data)
 
 
-def frame_model(problem: Problem) -> PageModel:
-    """Return the design of a file with several shares as JavaScript, with the results of each share and of the frame.
-
-    Raises:
-        InputError: as `design_model`.
-    """
-    design, machine = problem.design(parameters=True)
-    assert isinstance(machine, Machine)  # as of every file with several shares
-    every, runs = measures_of(problem.table), machine.runs
-    found: dict[str, tuple[Expression, Display]] = {}
-    for name in _SHOWN:
-        given = {share: run for share, run in runs.items() if every[name].given_by(run.scene.law)}
-        unit = problem.origin.display(name, every[name].unit.symbol)
-        found |= {f"{share}.{name}": (every[name].of(run), unit) for share, run in given.items()}
-        if every[name].adds and given:
-            found[name] = total_of(every[name], [*given.values()]), unit
-    shown = {name: one for name, one in found.items() if name not in problem.table.require}
-    rows = {f"{share}.{name}": getattr(run, name) for name in _CURVES for share, run in runs.items()}
-    time = next(iter(runs.values())).time
-    model = design_model(design, shown, {"time": time, **rows}, problem.displays)
-    panels = {panel: {"label": name.replace("_", " "), "rows": [f"{share}.{name}" for share in runs],
-                      **shown_in(problem.origin.common(unit, dict.fromkeys((name, mean), 1.0)))}
-              for name, (panel, unit, mean) in _CURVES.items()}  # fmt: skip
-    units = {"time": "s"} | {f"{share}.{name}": unit for name, (_, unit, _) in _CURVES.items() for share in runs}
-    known = {"panels": panels, "units": units, "file": problem.origin.file, "overrides": problem.overrides}
-    return replace(model, data=model.data | known | {"command": "optimise", "prefixes": [*runs]})
-
-
 def _declared(one: Variable | Parameter, displays: Mapping[str, Display]) -> dict[str, Any]:
     """Return name, unit, bounds and domain of a variable or parameter of a design."""
     if isinstance(one, Variable):
@@ -354,8 +322,8 @@ def _at(scene: Scene, p: Parameters, time: Any, state: Any) -> Run:
 
 def _wanted(problem: Problem, scene: Scene) -> dict[str, str]:
     """Return name -> SI unit of the results that the page shows, beside those over time."""
-    every = measures_of(problem.table)
-    named = dict.fromkeys([*_SHOWN, *problem.table.minimise, *problem.table.require, *problem.table.measures])
+    every = MEASURES
+    named = dict.fromkeys([*_SHOWN, *problem.table.minimise, *problem.table.require])
     found = {name: every[name].unit.symbol for name in named
              if every[name].given_by(scene.law) and not every[name].everywhere}  # fmt: skip
     return {"objective": "", **found} if problem.table.minimise else found
@@ -363,7 +331,7 @@ def _wanted(problem: Problem, scene: Scene) -> dict[str, str]:
 
 def _measured(problem: Problem, run: Run) -> list[Expression]:
     """Return the results of a run in the order of `_wanted`."""
-    every = measures_of(problem.table)
+    every = MEASURES
     own = {"objective": problem.objective, **{name: measure.of for name, measure in every.items()}}
     return [own[name](run) for name in _wanted(problem, run.scene)]
 
@@ -436,7 +404,7 @@ def shown_in(display: Display) -> dict[str, Any]:
 
 def _requirements(problem: Problem) -> list[dict[str, Any]]:
     """Return name and limits of each requirement in the file."""
-    every, found = measures_of(problem.table), []
+    every, found = MEASURES, []
     for name, table in problem.table.require.items():
         low, high = table.ends(every[name].unit)
         everywhere = name in MEASURES and MEASURES[name].everywhere

@@ -297,7 +297,8 @@ def plot_machine(machine: Machine) -> Figure:
 
     Example:
         >>> import plough_opt as po
-        >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+        >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+        >>> machine = po.Machine({"front": run, "rear": run})
         >>> len(po.plots.plot_machine(machine).axes)
         2
     """

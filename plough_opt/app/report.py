@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from plough_opt.app.page_model import PageModel, design_model, frame_model, page_model, shown_in, without_random
+from plough_opt.app.page_model import PageModel, design_model, page_model, shown_in, without_random
 from plough_opt.app.panels import Panel, changing, deflection_of, force_of, gif, subject
 from plough_opt.app.tables import ROUNDING, sensitivities_of
 from plough_opt.core.checks import check_domain, path_of, whole_number
@@ -32,9 +32,8 @@ from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.run import ARRAYS, Machine
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.vocabulary import called
+from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem, read_problem
-from plough_opt.problem_file.schema import measures_of
 from plough_opt.problem_file.written import problem_of, tables_of
 from plough_opt.soil.geometry import Wedge
 
@@ -431,10 +430,9 @@ def explored(report: Report, model: PageModel) -> dict[str, Any]:
     panels = {panel.name: {"label": panel.name, "rows": [next(iter(panel.lines)).replace(" ", "_")],
                            **shown_in(panel.unit)}
               for panel in (force_of(report.run), deflection_of(report.run))}  # fmt: skip
-    every = measures_of(problem.table)
     results = [
-        one | shown_in(report.display(one["name"], one["unit"], float(every[one["name"]].of(report.run))))
-        if one["name"] in every else one for one in model.data["results"]
+        one | shown_in(report.display(one["name"], one["unit"], float(MEASURES[one["name"]].of(report.run))))
+        if one["name"] in MEASURES else one for one in model.data["results"]
     ]  # fmt: skip
     return {
         **model.data,
@@ -501,7 +499,7 @@ def explore(
         The path.
 
     Raises:
-        InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, the scene
+        InputError: the file has a mistake, an uncertain soil, the scene
             holds symbols or something that cannot be written as a problem file, the duration is missing or given for
             another question, the design has no JavaScript form, or the page cannot be written.
         InfeasibleDesign, NotConverged: as `Design.solve`.
@@ -530,12 +528,7 @@ def explore(
 def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> Path:
     """Write the page of a problem; return its path. ``notify`` is told the present step and the fraction done."""
     _check(problem)
-    if problem.shares:
-        model = frame_model(problem)  # refused, if at all, before the search
-        best, _ = problem.optimise(notify, seed=seed)
-        text = design_page(best, model, problem.title, f"{problem.origin.file}, {_made(seed)}")
-    else:
-        text = page(replace(reported(problem, notify, seed), provenance=provenance(problem, seed)))
+    text = page(replace(reported(problem, notify, seed), provenance=provenance(problem, seed)))
     return write_file(path, "page", text)
 
 
@@ -545,11 +538,6 @@ def _made(seed: int) -> str:
 
 def _check(problem: Problem) -> None:
     """Raise InputError for a file that a report does not cover."""
-    if problem.shares and not (problem.variables and problem.table.minimise):
-        raise InputError(
-            f"{problem.name}: the page of several shares is that of their design: add [variables] and [minimise], or"
-            f" choose one share by --set shares={next(iter(problem.shares))}"
-        )
     if problem.table.uncertain is not None:
         raise InputError(
             f"{problem.name}: a report covers one soil: remove the table [uncertain], or use plough-opt optimise"
@@ -590,7 +578,6 @@ def reported(problem: Problem, notify: Progress, seed: int = 0) -> Report:
     else:
         notify("simulating", 0.0)
         run = problem.simulate(None if front is None else shown_of(front).variables)
-    assert isinstance(run, Run)  # several shares have a page of their own
     return Report(problem, run, best, sensitivities, unknown, front=front)
 
 

@@ -18,10 +18,9 @@ from plough_opt.laws.law import without_pressure
 from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import EffectCost
 from plough_opt.motion.equation import Structure, equation_of
-from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.schema import measures_of
 from plough_opt.soil.soil import Soil
 
 if TYPE_CHECKING:
@@ -58,53 +57,35 @@ def soils_page(soils: Sequence[Soil]) -> Page:
     return Page("", (table, *sources), footer=pores)
 
 
-def run_page(problem: Problem, run: Run | Machine) -> Page:
-    """Return the page of a numeric run, or of the runs of several shares, with each scene."""
-    page, runs = run.page(), runs_of(run)
-    scenes = [_scene_table(part, runs[name].scene, name) for name, part in problem.parts.items()]
-    return replace(page, parts=(*scenes, *page.parts, *further_results(problem, run)))
+def run_page(problem: Problem, run: Run) -> Page:
+    """Return the page of a numeric run with its scene."""
+    page = run.page()
+    return replace(page, parts=(_scene_table(problem, run.scene), *page.parts, *further_results(problem, run)))
 
 
-def runs_of(run: Run | Machine) -> Mapping[str, Run]:
-    """Return name of share -> run; a single run has the name ""."""
-    return run.runs if isinstance(run, Machine) else {"": run}
-
-
-def further_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
-    """Return a table of the results that the file defines and of those with a label; empty if there are none."""
-    runs = [*runs_of(run).values()]
+def further_results(problem: Problem, run: Run) -> tuple[Grid, ...]:
+    """Return a table of the results with a label of their own; empty if the law of resistance gives none."""
     rows = [
-        (name, measure, [float(measure.of(part)) for part in runs])
-        for name, measure in measures_of(problem.table).items()
-        if name in problem.table.measures or (measure.label and all(measure.given_by(part.scene.law) for part in runs))
+        (measure.label, shown(problem, name, float(measure.of(run)), measure.unit.symbol))
+        for name, measure in MEASURES.items()
+        if measure.label and measure.given_by(run.scene.law)
     ]
-    grid = Grid.of("Results of this file" if problem.table.measures else "Further results", "", *problem.parts)
-    for name, measure, values in rows:
-        texts = (shown(problem, name, x, measure.unit.symbol) for x in values)
-        grid.row(measure.label or name.replace("_", " "), *texts)
-    return (grid,) if rows else ()
+    return (Grid.pairs("Further results", *rows),) if rows else ()
 
 
-def check_page(problem: Problem, drafts: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Page:
-    """Return the contents of a file's scenes, the equation of motion that would be integrated, and drafts by law.
+def check_page(problem: Problem, drafts: Mapping[str, Mapping[str, Any]]) -> Page:
+    """Return the contents of a file's scene, the equation of motion that would be integrated, and drafts by law.
 
     Args:
         problem: the file.
-        drafts: name of a share -> its `drafts_by_law`.
+        drafts: its `drafts_by_law`.
     """
-    parts: list[Part] = []
-    for name, part in problem.parts.items():
-        scene = part.scene()
-        parts += [_scene_table(part, scene, name), _simulated(part, scene), _laws_table(drafts[name])]
+    scene = problem.scene()
+    parts: list[Part] = [_scene_table(problem, scene), _simulated(problem, scene), _laws_table(drafts)]
     if problem.variables:
         verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
         counts = f"{len(problem.variables)} variables, {len(problem.table.require)} requirements"
         parts.append(f"{counts}: plough-opt {verb} {problem.name}")
-    if problem.shares:
-        parts.append(
-            f"{len(problem.shares)} shares, designed as one machine: limits on drafts, powers and masses apply to their"
-            " sum, other limits to each share; the objective is the sum over the shares."
-        )
     if problem.table.uncertain is not None:
         names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
         parts.append(
@@ -115,8 +96,8 @@ def check_page(problem: Problem, drafts: Mapping[str, Mapping[str, Mapping[str, 
 
 
 def warnings_of(problem: Problem) -> tuple[str, ...]:
-    """Return the warnings of all scenes of a file, each once."""
-    return tuple(dict.fromkeys(text for part in problem.parts.values() for text in part.scene().warnings()))
+    """Return the warnings of a file's scene, each once."""
+    return tuple(dict.fromkeys(problem.scene().warnings()))
 
 
 def _simulated(problem: Problem, scene: Scene) -> Grid:
@@ -191,7 +172,7 @@ def _laws_table(drafts: Mapping[str, Mapping[str, Any]]) -> Grid:
     return table
 
 
-def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:
+def _scene_table(problem: Problem, scene: Scene) -> Grid:
     """Return a table of the quantities of a scene."""
     rows = [("soil", scene.soil.name)]
     if not scene.law.lacks("cone_index"):
@@ -207,8 +188,7 @@ def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:
         rows.append(("part of the static draft due to ambient pressure", f"{100.0 * float(scene.ambient_share):.0f} %"))
     if scene.medium != "plastic":
         rows.append(("law of resistance", scene.law.label))
-    title = f"Scene of the share '{share}'" if share else "Scene"
-    return Grid.pairs(f"{title}, variables at their guesses" if problem.variables else title, *rows)
+    return Grid.pairs("Scene, variables at their guesses" if problem.variables else "Scene", *rows)
 
 
 def sensitivities_of(best: Optimum, notify: Progress) -> tuple[tuple[Sensitivity, ...], str]:

@@ -529,7 +529,8 @@ class Machine(Saveable):
 
         Example:
             >>> import plough_opt as po
-            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> machine = po.Machine({"front": run, "rear": run})
             >>> [part.title for part in machine.page().parts if hasattr(part, "title")]
             ['Response']
         """
@@ -543,7 +544,8 @@ class Machine(Saveable):
 
         Example:
             >>> import plough_opt as po
-            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> machine = po.Machine({"front": run, "rear": run})
             >>> machine.response().rows[0]
             ('mean draft', '1.993 kN', '1.845 kN', '3.839 kN')
         """
@@ -557,7 +559,8 @@ class Machine(Saveable):
 
         Example:
             >>> import plough_opt as po
-            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> machine = po.Machine({"front": run, "rear": run})
             >>> sorted(set(machine.to_dataframe()["share"]))
             ['front', 'rear']
         """
@@ -579,7 +582,8 @@ class Machine(Saveable):
 
         Example:
             >>> import plough_opt as po
-            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> machine = po.Machine({"front": run, "rear": run})
             >>> len(machine.plot().axes)
             2
         """

@@ -20,10 +20,9 @@ from plough_opt.exchange.component import Component, Input, Output, Port, port_o
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.effects import SpeedProfile
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.vocabulary import Measure
-from plough_opt.problem_file.schema import WAVES, LimitTable, ProblemTable, measures_of, medium_of, total_of
+from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.problem_file.schema import WAVES, LimitTable, ProblemTable, medium_of
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Wedge
 from plough_opt.soil.soil import Soil, named_soil
 from plough_opt.soil.strength import Spectrum
@@ -88,8 +87,6 @@ class Problem:
         text: the whole text of the file.
         data: name of each data file, as the problem file writes it -> its whole text.
         overrides: the changes made to the file, in order.
-        shares: name of each share -> the problem of this share alone; empty if the file has one unnamed share. An entry
-            of one share alone has a key such as "front.share.height" in ``fixed``, ``variables`` and ``table.require``.
 
     Example:
         >>> import plough_opt as po
@@ -110,7 +107,6 @@ class Problem:
     text: str = field(default="", repr=False)
     data: Mapping[str, str] = field(default_factory=dict, repr=False)
     overrides: tuple[str, ...] = ()
-    shares: Mapping[str, Problem] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -120,8 +116,6 @@ class Problem:
     @property
     def cautions(self) -> tuple[str, ...]:
         """Warnings about values so unusual that their unit is probably wrong, and about catalogues beyond bounds."""
-        if self.shares:
-            return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.cautions))
         every = [(key, key, value) for key, value in self.fixed.items()]
         every += [(f"{key} {side}", key, getattr(v, side)) for key, v in self.variables.items() for side in _SIDES]
         found = []
@@ -137,8 +131,6 @@ class Problem:
     @property
     def reliance(self) -> tuple[str, ...]:
         """Warnings that this design relies on what did not hold when tried; see docs/explanation/validation.md."""
-        if self.shares:
-            return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.reliance))
         if not self.table.scene.law.slender:
             return ()
         given, limits = self.values(), self.table.require
@@ -171,11 +163,6 @@ class Problem:
         return tuple(sentence for sentence, relied_on in relied.items() if relied_on)
 
     @property
-    def parts(self) -> Mapping[str, Problem]:
-        """Name of each share -> its problem; the problem itself under "" if the file has one unnamed share."""
-        return self.shares or {"": self}
-
-    @property
     def origin(self) -> Origin:
         """Origin of results of this file that involve no random samples."""
         return self.made()
@@ -191,14 +178,10 @@ class Problem:
             >>> po.read_problem("problems/cotton_subsoiler.toml").made(seed=3).file
             'cotton_subsoiler.toml'
         """
-        limits = {name: limit.ends(self._measure(name).unit) for name, limit in self.table.require.items()}
+        limits = {name: limit.ends(MEASURES[name].unit) for name, limit in self.table.require.items()}
         name = Path(self.name).name.encode(errors="replace").decode()  # names of files need not be text
         return Origin(self.title, self.displays, name, self.text, seed=seed, overrides=self.overrides, data=self.data,
                       limits=limits).now()  # fmt: skip
-
-    def _measure(self, name: str) -> Measure:
-        """Return the measure of a result such as "mean_draft" or "front.loosened_radius"."""
-        return measures_of(self.table)[self._split(name)[1]]
 
     @property
     def accuracy(self) -> Accuracy:
@@ -231,18 +214,12 @@ class Problem:
         Args:
             changes: key -> value that replaces the file's, a number or a symbol in SI.
 
-        Raises:
-            InputError: the file has several shares.
-
         Example:
             >>> import plough_opt as po
             >>> problem = po.read_problem("problems/cotton_subsoiler.toml")
             >>> problem.scene({"share.height": 0.3}).share.height
             0.3
         """
-        if self.shares:
-            one = f"choose one by --set shares={next(iter(self.shares))}, in Python by problem.shares"
-            raise InputError(f"{self.name} has several shares, {', '.join(self.shares)}: {one}")
         values = self.values(changes)
         share = Wedge(
             angle=values["share.wedge_angle"], chisel_angle=values["share.chisel_angle"], height=values["share.height"]
@@ -288,34 +265,6 @@ class Problem:
         note = {"name": f"{base.name}, changed", "source": f"{base.source}; changed in {self.name}: {changed}"}
         return Soil(**(properties | note))
 
-    def machine(self, changes: Mapping[str, float] | None = None) -> Machine:
-        """Return the runs of all shares of a file that has several; ``changes`` as in `scene`.
-
-        Example:
-            >>> import plough_opt as po
-            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
-            >>> [*machine.runs]
-            ['front', 'rear']
-        """
-        values: dict[str, Column] = self.values(changes)
-        runs = {name: part.simulate(self._of_share(name, values)) for name, part in self.shares.items()}
-        return Machine(runs, self.origin)
-
-    def _of_share(self, share: str, values: Mapping[str, _T]) -> dict[str, _T]:
-        """Return the entries that apply to one share, under keys without the share's name."""
-        found = {}
-        for name, value in values.items():
-            whose, key = self._split(name)
-            own = f"{share}.{key}"
-            if whose == share or not (whose or own in self.variables or own in self.fixed):
-                found[key] = value
-        return found
-
-    def _split(self, name: str) -> tuple[str, str]:
-        """Return share and key of a name such as "front.share.height"; the share is "" for a key without one."""
-        share, _, key = name.partition(".")
-        return (share, key) if share in self.shares else ("", name)
-
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:
         """Return the numeric run of `scene`.
 
@@ -340,8 +289,8 @@ class Problem:
         duration, outputs = values.get("scene.duration"), self.table.scene.outputs
         return simulate(scene, duration, accuracy=self.accuracy, outputs=outputs)
 
-    def design(self, *, parameters: bool = False) -> tuple[Design, Run | Machine]:
-        """Return the design and its symbolic run, or the runs of all shares as a `Machine`.
+    def design(self, *, parameters: bool = False) -> tuple[Design, Run]:
+        """Return the design and its symbolic run.
 
         Args:
             parameters: declare every fixed quantity as a parameter of the design under its key, so that sensitivities
@@ -362,12 +311,12 @@ class Problem:
         self._check_variables()
         if not self.table.minimise:
             raise InputError(f"{self.name}: nothing to minimise: add a table [minimise]")
-        design, runs = self._required(parameters)
-        design.minimise(self.objective(*runs.values()), over=self.over)
-        return design, Machine(runs) if self.shares else runs[""]
+        design, run = self._required(parameters)
+        design.minimise(self.objective(run), over=self.over)
+        return design, run
 
-    def objective(self, *runs: Run) -> Expression:
-        """Return the sum of the terms in [minimise] over all shares.
+    def objective(self, run: Run) -> Expression:
+        """Return the sum of the terms in [minimise].
 
         Example:
             >>> import plough_opt as po
@@ -377,9 +326,8 @@ class Problem:
             True
         """
         objective: Expression = 0.0
-        measures = measures_of(self.table)
         for name, term in self.table.minimise.items():
-            objective = objective + total_of(measures[name], runs) / measures[name].unit.parse(term.per)
+            objective = objective + MEASURES[name].of(run) / MEASURES[name].unit.parse(term.per)
         return objective
 
     def _check_variables(self) -> None:
@@ -388,39 +336,24 @@ class Problem:
             why = "every variable is fixed" if self.notes else "add a table [variables]"
             raise InputError(f"{self.name}: nothing to choose: {why}")
 
-    def _required(self, parameters: bool = False) -> tuple[Design, dict[str, Run]]:
-        """Return the design with its requirements but no objective, and the symbolic run of each share."""
+    def _required(self, parameters: bool = False) -> tuple[Design, Run]:
+        """Return the design with its requirements but no objective, and its symbolic run."""
         from plough_opt.design import Design
 
         design = Design()
         symbols = {name: variable.declared(design, name, variable.guess) for name, variable in self.variables.items()}
-        chosen = dict(symbols)
+        scene = self.scene(symbols)
         if parameters:
             for name, x in self.numbers().items():
-                key = self._split(name)[1]
-                symbols[name] = design.parameter(name, x, unit=EVERY[key].unit, domain=EVERY[key].domain)
-        runs = {name: part._symbolic(*(self._of_share(name, own) for own in (symbols, chosen)))
-                for name, part in self.parts.items()}  # fmt: skip
+                symbols[name] = design.parameter(name, x, unit=EVERY[name].unit, domain=EVERY[name].domain)
+            whole = self.scene(symbols)
+            scene = replace(whole, soil=replace(whole.soil, name=scene.soil.name, source=scene.soil.source))
+        run = self.run_of(scene, self.values(symbols))
         for name, limit in self.table.require.items():
-            share, measure = self._split(name)[0], self._measure(name)
-            low, high = limit.ends(measure.unit)
-            value = total_of(measure, [runs[share]] if share in runs else [*runs.values()])
-            design.require(name, value, at_least=low, at_most=high, unit=measure.unit.symbol,
-                           display=self.displays.get(name))  # fmt: skip
-        return design, runs
-
-    def _symbolic(self, symbols: Mapping[str, Expression], chosen: Mapping[str, Expression]) -> Run:
-        """Return the symbolic run.
-
-        Args:
-            symbols: key -> symbol of each variable and parameter.
-            chosen: key -> symbol of each variable.
-        """
-        scene = self.scene(chosen)
-        if len(symbols) > len(chosen):
-            soil = replace(self.scene(symbols).soil, name=scene.soil.name, source=scene.soil.source)
-            scene = replace(self.scene(symbols), soil=soil)
-        return self.run_of(scene, self.values(symbols))
+            (low, high), unit = limit.ends(MEASURES[name].unit), MEASURES[name].unit.symbol
+            value, display = MEASURES[name].of(run), self.displays.get(name)
+            design.require(name, value, at_least=low, at_most=high, unit=unit, display=display)
+        return design, run
 
     def component(
         self,
@@ -480,7 +413,7 @@ class Problem:
     def _outputs(self, names: Sequence[str]) -> list[Output]:
         """Return outputs with some names, or all results that the file names, with its requirements as limits."""
         check_kind("outputs", names, list | tuple, "a list of names")
-        table, measures = self.table, measures_of(self.table)
+        table = self.table
         every = dict.fromkeys([*table.minimise, *table.goals, *table.require])
         if not (names := names or [*([OBJECTIVE] if table.minimise else []), *every]):
             raise InputError(f"{self.name} minimises, trades and requires nothing: name outputs")
@@ -489,14 +422,11 @@ class Problem:
             check_kind("an output", name, str, "the name of a result")
             if name == OBJECTIVE and table.minimise:
                 found.append(Output(name, of=self.objective))
-            elif name not in measures:  # `build` raises InputError for unknown names
+            elif name not in MEASURES:  # `build` raises InputError for unknown names
                 found.append(Output(name))
             else:
-                unit = measures[name].unit
-                low, high = table.require.get(name, LimitTable()).ends(unit)
-                ends = (-math.inf if low is None else low, math.inf if high is None else high)
-                own = (measures[name].of, unit.symbol) if name in table.measures else ()
-                found.append(Output(name, *ends, *own))
+                low, high = table.require.get(name, LimitTable()).ends(MEASURES[name].unit)
+                found.append(Output(name, -math.inf if low is None else low, math.inf if high is None else high))
         return found
 
     def numbers(self) -> dict[str, float]:
@@ -511,10 +441,6 @@ class Problem:
             >>> problem.numbers()["soil.cohesion"]
             20000.0
         """
-        if self.shares:
-            given = {share: {key for key in part.fixed if f"{share}.{key}" in self.fixed}
-                     for share, part in self.shares.items()}  # fmt: skip
-            return by_share({share: part.numbers() for share, part in self.shares.items()}, given)
         soil = self.scene().soil
         own = {name: getattr(soil, one.key) for name, one in QUANTITIES.items() if one.owner == "soil"}
         every = {**own, **self.fixed}
@@ -534,8 +460,8 @@ class Problem:
         search: Search = "auto",
         judge: Judge = "tolerance",
         seed: int = 0,
-    ) -> tuple[Optimum, Run | Machine]:
-        """Return the optimum and its numeric run, or the runs of all shares as a `Machine`.
+    ) -> tuple[Optimum, Run]:
+        """Return the optimum and its numeric run.
 
         See `design` for ``parameters``, and `Design.solve` for the other arguments.
 
@@ -548,11 +474,8 @@ class Problem:
         """
         design, run = self.design(parameters=parameters)
         best = design.solve(search=search, judge=judge, seed=seed, progress=progress)
-        origin, found = self.made(seed), best(run)
-        if self.shares:
-            runs = {name: replace(own, origin=self.shares[name].made(seed)) for name, own in found.runs.items()}
-            found = replace(found, runs=runs)
-        found = replace(found, origin=origin)
+        origin = self.made(seed)
+        found = replace(best(run), origin=origin)
         best = replace(best, run=found, origin=origin)
         catalogues = {name: v.catalogue for name, v in self.variables.items() if v.catalogue is not None}
         return (best.with_catalogues(catalogues) if catalogues else best), found
@@ -579,12 +502,9 @@ class Problem:
         self._check_variables()
         if self.table.trade_off is None:
             raise InputError(f"{self.name}: nothing to trade: add a table {TRADED}")
-        design, runs = self._required()
-        measures = measures_of(self.table)
-        goals = [
-            Goal(name, total_of(measures[name], [*runs.values()]), measures[name].unit.symbol, maximise)
-            for name, maximise in self.table.goals.items()
-        ]
+        design, run = self._required()
+        goals = [Goal(name, MEASURES[name].of(run), MEASURES[name].unit.symbol, maximise)
+                 for name, maximise in self.table.goals.items()]  # fmt: skip
         count = self.table.trade_off.points if points is None else points
         found = trade_off(design, *goals, points=count, title=self.title, progress=progress)
         return replace(found, origin=self.origin)
@@ -604,18 +524,3 @@ def whole_waves(values: Mapping[str, Expression]) -> Expression:
     """Return the time in which the share passes as many of the longest waves as fit into the duration, or one [s]."""
     period = longest_period(values)
     return maximum(floor(values["scene.duration"] / period + _WHOLE), 1.0) * period
-
-
-def by_share(parts: Mapping[str, Mapping[str, _T]], own: Mapping[str, set[str]]) -> dict[str, _T]:
-    """Return the entries of all shares: an entry that all have in common under its key, others under "share.key".
-
-    Args:
-        parts: name of each share -> its entries by key.
-        own: name of each share -> keys that its own table sets.
-    """
-    found: dict[str, _T] = {}
-    for name, part in parts.items():
-        for key, value in part.items():
-            alike = all(key in own[other] or there.get(key, value) == value for other, there in parts.items())
-            found[key if alike and key not in own[name] else f"{name}.{key}"] = value
-    return found

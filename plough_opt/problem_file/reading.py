@@ -1,12 +1,10 @@
 """Reading of a problem file, with overrides, into a `Problem`; one error lists all mistakes with their lines.
 
-Checked beyond the schema are missing and unused quantities, results, fronts, and domains of values. The tables outside
-[shares] apply to all shares; a table such as [shares.front] overrides entries for one share.
+Checked beyond the schema are missing and unused quantities, results, fronts, and domains of values.
 """
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 import tomllib
@@ -25,21 +23,18 @@ from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import PER_CENT, Display, Unit, display_of, in_words
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.vocabulary import Measure
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.field_data import average_readings, course_of_file, spectrum_of_file
-from plough_opt.problem_file.problem import TRADED, FileVariable, Problem, by_share
+from plough_opt.problem_file.problem import TRADED, FileVariable, Problem
 from plough_opt.problem_file.schema import (
     CONTACTS,
     RANDOM,
-    SHARE_TABLES,
     WAVES,
     EffectsFile,
     ProblemFile,
     ProblemTable,
     VariableTable,
     at,
-    check_definitions,
-    measures_of,
     valid_keys,
 )
 from plough_opt.problem_file.source import TOO_DEEP, Keys, Source, entry_at, nested_line, unreadable
@@ -53,11 +48,7 @@ if TYPE_CHECKING:
 _MAX_LENGTH: Final = 2_000
 # Characters of a change that messages quote.
 _SHOWN: Final = 120
-_SHARES: Final = "shares"
-# Keys of [scene] that belong to the frame and cannot differ between shares.
-_FRAME_KEYS: Final = ("tow_speed", "duration", "outputs", "average")
 _BY_READING: Final = "follows from the cone index: remove it, or set soil.adjust to another property"
-_EXAMPLE: Final = '[shares.front] with soil.cohesion = "15 kPa"'
 
 
 def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
@@ -81,46 +72,12 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     check_kind("overrides", overrides, list | tuple, "a list of texts such as 'scene.tow_speed=\"2.5 m/s\"'")
     overrides = tuple(overrides)
     notes = tuple(note for text in overrides if (note := apply_override(source, text)))
-    names = names_of_shares(source)
-    if not names:
-        found = read_source(source, Path(path).parent, notes, overrides)
-        return dataclasses.replace(found, notes=(*found.notes, *_soil_notes(found, path, overrides)))
-    parts, own = {}, {}
-    for name in names:
-        view = copy.copy(source)
-        own[name] = choose_share(view, name)
-        parts[name] = read_source(view, Path(path).parent, notes, (*overrides, f"{_SHARES}={name}"))
-    return _joined(parts, own, overrides)
-
-
-def _joined(parts: Mapping[str, Problem], own: Mapping[str, set[str]], overrides: tuple[str, ...]) -> Problem:
-    """Return the problem of several shares in one frame.
-
-    Args:
-        parts: name of each share -> the problem of this share alone.
-        own: name of each share -> quantities and results that its own table sets.
-        overrides: changes that were made to the file.
-    """
-
-    def gathered(what: str) -> Any:
-        return by_share({name: getattr(part, what) for name, part in parts.items()}, own)
-
-    first = next(iter(parts.values()))
-    require = {}
-    for name, part in parts.items():
-        for result, limit in part.table.require.items():
-            together = measures_of(part.table)[result].adds and result not in own[name]
-            require[result if together else f"{name}.{result}"] = limit
-    displays = gathered("displays")
-    displays |= {key: parts[key.partition(".")[0]].displays[key.partition(".")[2]] for key in require if "." in key}
-    return dataclasses.replace(
-        first, table=first.table.model_copy(update={"require": require}), fixed=gathered("fixed"),
-        variables=gathered("variables"), displays=displays, shares=parts, overrides=overrides,
-    )  # fmt: skip
+    found = read_source(source, Path(path).parent, notes, overrides)
+    return dataclasses.replace(found, notes=(*found.notes, *_soil_notes(found, path, overrides)))
 
 
 def read_source(source: Source, folder: Path, notes: tuple[str, ...] = (), overrides: tuple[str, ...] = ()) -> Problem:
-    """Return the problem of one share; ``folder`` is the one that paths of data files start from."""
+    """Return the problem of a file; ``folder`` is the one that paths of data files start from."""
     join_dotted_variables(source.data)
     join_dotted(source.data)
     over = _over(source)
@@ -163,8 +120,6 @@ def check_changed(problem: Problem) -> None:
     Raises:
         InputError: a quantity that belongs to an effect that is off, or one outside the model's domain.
     """
-    if problem.shares:
-        problem.scene()  # raises InputError: one share must be chosen
     source = Source("", problem.name)
     check_complete(source, problem.table, {*problem.fixed, *problem.variables})
     source.raise_noted()
@@ -205,12 +160,9 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
             if written is not None:
                 displays[key] = display_of(written, unit)
     check_complete(source, table, {*fixed, *table.variables})
-    if check_definitions(source, table):  # the checks below need the names of all results
-        known = measures_of(table)
-        displays |= {name: display_of(f"1 {own.unit}", known[name].unit) for name, own in table.measures.items()}
-        check_measures(source, table, displays)
-        check_uncertain(source, table)
-        check_front(source, table)
+    check_measures(source, table, displays)
+    check_uncertain(source, table)
+    check_front(source, table)
     return Problem(source.name, table, fixed, variables, displays, notes)
 
 
@@ -285,23 +237,17 @@ def apply_override(source: Source, text: str) -> str:
     if not (path and written):
         raise InputError(f'--set {text}: expected KEY=VALUE, like scene.tow_speed="2.5 m/s"')
     with about(f"--set {text}:"):
-        keys, value = _keys_of(path), _toml_value(written)
-        if keys != [_SHARES]:
-            return _change(source, keys, value, text)
-    choose_share(source, value)
-    return ""
+        return _change(source, _keys_of(path), _toml_value(written), text)
 
 
 def _change(source: Source, keys: list[str], value: Any, text: str) -> str:
     """Set the value of a key; return a note if this fixed a variable, else ""."""
-    path, shares = ".".join(keys), source.data.get(_SHARES)
+    path = ".".join(keys)
     if not all(key.strip() for key in keys):
         raise InputError(f"'{path}' is not a key: give a table and a key, like scene.tow_speed")
     if keys[0] not in ProblemTable.model_fields:
         valid = IN_FILES if len(keys) == 1 else ProblemTable.model_fields
         raise InputError(f"no table is named '{keys[0]}': {nearest(keys[0], valid, ProblemTable.model_fields)}")
-    if keys[0] == _SHARES and isinstance(shares, dict) and shares and keys[1] not in shares:
-        raise InputError(f"no share is named {short(repr(keys[1]))}: {nearest(keys[1], shares)}")
     place: Any = source.data
     for depth, key in enumerate(keys[:-1], start=1):
         if key not in place:
@@ -313,14 +259,11 @@ def _change(source: Source, keys: list[str], value: Any, text: str) -> str:
     if wrong := unreadable({path: value}):
         raise InputError(wrong[1])
     source.overridden[tuple(keys)] = text
-    share = 2 if keys[0] == _SHARES else 0
-    own = source.data[_SHARES][keys[1]] if share else source.data  # the table around [variables]
-    if isinstance(own, dict):
-        join_dotted_variables(own)
-        variables, name = own.get("variables"), ".".join(keys[share:])
-        if isinstance(variables, dict) and (declared := variables.pop(name, None)) is not None:
-            outside = _outside(name, value, declared)
-            return f"'{path}' is a variable of the file and is now fixed at {text.partition('=')[2].strip()}{outside}"
+    join_dotted_variables(source.data)
+    variables = source.data.get("variables")
+    if isinstance(variables, dict) and (declared := variables.pop(path, None)) is not None:
+        outside = _outside(path, value, declared)
+        return f"'{path}' is a variable of the file and is now fixed at {text.partition('=')[2].strip()}{outside}"
     return ""
 
 
@@ -335,16 +278,14 @@ def _outside(key: str, value: Any, declared: Any) -> str:
 
 def _keys_of(path: str) -> list[str]:
     """Split a dotted path into keys; the dotted name of a variable remains one key, with or without quotes."""
-    before, found, rest = path.partition("variables.")
-    around = before.split(".")[:-1]
-    if not found or around not in ([], [_SHARES, *around[1:2]]):
+    if not path.startswith("variables."):
         return path.split(".")
-    rest = rest.replace('"', "").replace("'", "")
+    rest = path.removeprefix("variables.").replace('"', "").replace("'", "")
     name, _, side = rest.rpartition(".")
     if rest in quantities():
-        return [*around, "variables", rest]
+        return ["variables", rest]
     check_named("{} cannot be a variable", name or rest, quantities())
-    return [*around, "variables", name, side]
+    return ["variables", name, side]
 
 
 def _toml_value(written: str) -> Any:
@@ -356,68 +297,6 @@ def _toml_value(written: str) -> Any:
     except tomllib.TOMLDecodeError:
         return written
     return read["value"] if len(read) == 1 else written
-
-
-def names_of_shares(source: Source) -> tuple[str, ...]:
-    """Return the names of a file's shares; none if it has one unnamed share.
-
-    Raises:
-        InputError: an entry of [shares] is not a valid table, or sets a quantity of the whole frame.
-    """
-    shares = source.data.get(_SHARES)
-    if shares is None or source.share:
-        return ()
-    if not isinstance(shares, dict) or not shares or not all(isinstance(own, dict) for own in shares.values()):
-        raise source.error((_SHARES,), f"'shares' must hold a table for each share, such as {_EXAMPLE}")
-    for name, own in shares.items():
-        with source.noting((_SHARES, name)):
-            if not name.isidentifier() or name in ProblemTable.model_fields:
-                raise InputError(f"'{name}' cannot be the name of a share: use letters, digits and _, no table's")
-        for table in own:
-            with source.noting((_SHARES, name, table)):
-                if table in {*ProblemTable.model_fields}.difference(SHARE_TABLES):
-                    raise InputError(f"'{table}' cannot differ between shares: give [{table}] for all of them")
-                check_named("{} is not a table of a share", table, SHARE_TABLES)
-        for key in _FRAME_KEYS:
-            with source.noting((_SHARES, name, "scene", key)):
-                if any(isinstance(own.get(table), dict) and entry in own[table]
-                       for table, entry in (("scene", key), ("variables", f"scene.{key}"))):  # fmt: skip
-                    raise InputError(f"'scene.{key}' belongs to the frame, not to one share: give it in [scene]")
-    with source.noting(("uncertain",)):
-        if source.data.get("uncertain") is not None:
-            raise InputError("a design for an uncertain soil can have only one share: remove [uncertain] or [shares]")
-    source.raise_noted()
-    return tuple(shares)
-
-
-def choose_share(source: Source, name: object) -> set[str]:
-    """Reduce a file to one of its shares: the common tables, overridden by the table of the share.
-
-    A variable in the share's table replaces a common value of the same key, and a value replaces a common variable.
-
-    Returns:
-        The quantities and results that the share's table sets.
-
-    Raises:
-        InputError: the file has no shares, or none of this name.
-    """
-    shares = names_of_shares(source)
-    if name not in shares:
-        known = nearest(str(name), shares) if shares else "the file has no table [shares]"
-        raise InputError(f"no share is named {short(repr(name))}: {known}")
-    data = copy.deepcopy(source.data)
-    own = data.pop(_SHARES)[name]
-    for table in (data, own):
-        join_dotted_variables(table)
-    chosen = own.get("variables") if isinstance(own.get("variables"), dict) else {}
-    fixed = {key for key in quantities() if entry_at(own, key) is not None}
-    for key in fixed:
-        data.get("variables", {}).pop(key, None)
-    for key in chosen:
-        _taken(data, key)
-    _merge(data, own)
-    source.data, source.share = data, (_SHARES, str(name))
-    return {*fixed, *chosen, *own.get("require", {})}
 
 
 def join_dotted_variables(data: dict[str, Any]) -> None:
@@ -440,15 +319,6 @@ def _taken(data: Any, key: str) -> Any:
     around, _, name = key.rpartition(".")
     table = entry_at(data, around)
     return table.pop(name, None) if isinstance(table, dict) else None
-
-
-def _merge(data: dict[str, Any], own: Mapping[str, Any]) -> None:
-    """Update the common tables with those of a share, recursively."""
-    for key, value in own.items():
-        if isinstance(value, dict) and isinstance(data.get(key), dict):
-            _merge(data[key], value)
-        else:
-            data[key] = value
 
 
 def _check_compaction(table: ProblemTable, known: set[str]) -> None:
@@ -540,23 +410,20 @@ def _required(*owners: str) -> list[str]:
 
 def check_measures(source: Source, table: ProblemTable, displays: dict[str, Display]) -> None:
     """Check objective and requirements, and record their units in ``displays``."""
-    known = measures_of(table)
     terms = [(("minimise", name), {"per": term.per}) for name, term in table.minimise.items()]
     limits = [(("require", name), limit.sides) for name, limit in table.require.items()]
     for place, sides in (*terms, *limits):
         with source.noting(place):
-            _check_measure(source, place, table.scene.law, sides, known)
+            _check_measure(source, place, table.scene.law, sides)
             for written in sides.values():
-                displays[place[1]] = display_of(written, known[place[1]].unit)
+                displays[place[1]] = display_of(written, MEASURES[place[1]].unit)
 
 
-def _check_measure(
-    source: Source, place: Keys, law: ResistanceLaw, sides: Mapping[str, Any], known: Mapping[str, Measure]
-) -> None:
+def _check_measure(source: Source, place: Keys, law: ResistanceLaw, sides: Mapping[str, Any]) -> None:
     """Raise InputError if one term of the objective, or one requirement, is invalid."""
     kind, name = place
-    _check_name(known, name, law, "minimised" if kind == "minimise" else "required", everywhere=kind == "require")
-    unit = known[name].unit
+    _check_name(name, law, "minimised" if kind == "minimise" else "required", everywhere=kind == "require")
+    unit = MEASURES[name].unit
     values = {side: source.parsed((*place, side), unit, one, f"'{name}' {side}") for side, one in sides.items()}
     if kind == "minimise" and values["per"] <= 0.0:
         raise source.error((*place, "per"), f"'{name}' per = {sides['per']} must be above 0")
@@ -564,31 +431,28 @@ def _check_measure(
         check_limits(f"'{name}'", values.get("at_least"), values.get("at_most"), partial(in_words, unit=unit.symbol))
 
 
-def _check_name(
-    known: Mapping[str, Measure], name: str, law: ResistanceLaw, verb: str, *more: str, everywhere: bool = False
-) -> None:
+def _check_name(name: str, law: ResistanceLaw, verb: str, *more: str, everywhere: bool = False) -> None:
     """Raise InputError unless a name is a result that the law of resistance provides.
 
     Args:
-        known: name -> each result.
         name: the name to check.
         law: the law of resistance.
         verb: what the file does with the result, for the message.
         *more: further valid names, for suggestions.
         everywhere: accept results that have a value at every output time.
     """
-    allowed = [one for one, measure in known.items() if everywhere or not measure.everywhere]
+    allowed = [one for one, measure in MEASURES.items() if everywhere or not measure.everywhere]
     check_named(f"{{}} cannot be {verb}", name, [*allowed, *more])
-    known[name].check(name, law)
+    MEASURES[name].check(name, law)
 
 
 def check_front(source: Source, table: ProblemTable) -> None:
     """Note every mistake in [trade_off], which must have two or three results."""
-    known, count = measures_of(table), len(table.goals)
+    count = len(table.goals)
     for name in table.goals:
         with source.noting(("trade_off", name)):
-            _check_name(known, name, table.scene.law, "traded", "points")
-    if table.trade_off is not None and count not in (2, 3) and {*table.goals} <= {*known}:
+            _check_name(name, table.scene.law, "traded", "points")
+    if table.trade_off is not None and count not in (2, 3) and {*table.goals} <= {*MEASURES}:
         more = "put the others into [require]" if count > 3 else f"give {TRADED}"
         source.note(("trade_off",), f"a front needs two or three results, not {count}: {more}")
 
@@ -612,10 +476,9 @@ def check_values(source: Source, problem: Problem) -> None:
     with source.noting(("effects", "motion")):
         problem.scene()
     source.raise_noted()
-    known = measures_of(problem.table)
     for kind, names in (("minimise", problem.table.minimise), ("require", problem.table.require),
                         ("trade_off", problem.table.goals)):  # fmt: skip
-        for name in {*names} & {name for name in known if known[name].random}:
+        for name in {*names} & {name for name in MEASURES if MEASURES[name].random}:
             with source.noting((kind, name), prefix=f"'{name}': "):
                 problem.scene().check_stationary()
     source.raise_noted()

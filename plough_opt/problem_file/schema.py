@@ -1,27 +1,20 @@
-"""Schema of a problem file: its tables in SI units, and the results of [measures]; as a JSON schema for editors too."""
+"""Schema of a problem file: its tables in SI units; as a JSON schema for editors too."""
 
-import ast
 import dataclasses
-import math
-import operator
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache, reduce
-from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar, get_args
+from functools import reduce
+from typing import Annotated, Any, Final, Literal, TypeVar, get_args
 
-import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model
 from pydantic.json_schema import GenerateJsonSchema
 
-from plough_opt.core import expressions
 from plough_opt.core.checks import check_named, shown
-from plough_opt.core.errors import InputError, about, short
+from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import Expression
-from plough_opt.core.quantities import EVERY, IN_FILES, MOST_WAVES, QUANTITIES, wave_table
-from plough_opt.core.units import Unit, registry
+from plough_opt.core.quantities import EVERY, IN_FILES, MOST_WAVES, wave_table
+from plough_opt.core.units import Unit
 from plough_opt.laws import LAWS, law_of
 from plough_opt.laws.law import ResistanceLaw
-from plough_opt.motion import Run
 from plough_opt.motion.effects import (
     OWN_EFFECTS,
     Effects,
@@ -30,18 +23,13 @@ from plough_opt.motion.effects import (
     SpeedProfile,
     StickSlip,
 )
-from plough_opt.motion.scene import quantity_of
-from plough_opt.motion.vocabulary import MEASURES, Measure
-from plough_opt.problem_file.source import Source
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.soil.soil import Adjust
 from plough_opt.soil.strength import RandomStrength, Spectrum, StrengthWave
 
 Written = str | float
 RANDOM = "effects.random_strength"
 """Dotted name of the table of random strength."""
-SHARE_TABLES = ("soil", "share", "scene", "effects", "variables", "require")
-"""Tables that [shares.NAME] may repeat to override entries for one share."""
-
 WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
 """Dotted names of the tables of strength waves, in order; all have the same keys."""
 
@@ -326,15 +314,6 @@ class TradeOffTable(Table):
     """number of positions on the front"""
 
 
-class MeasureTable(Table):
-    """A result that the file defines: an expression of other results, and its unit."""
-
-    value: str
-    """expression of other results"""
-    unit: str = ""
-    """its unit"""
-
-
 class AccuracyTable(Table):
     """Integration method and its setting, or the relative error to reach."""
 
@@ -360,10 +339,8 @@ class ProblemTable(Table):
     variables: dict[str, VariableTable] = {}
     minimise: dict[str, TermTable] = {}
     require: dict[str, LimitTable] = {}
-    measures: dict[str, MeasureTable] = {}
     trade_off: TradeOffTable | None = None
     uncertain: dict[str, Any] | None = None  # read by plough_opt.problem_file.uncertain
-    shares: dict[str, dict[str, Any]] = {}  # read by plough_opt.problem_file.reading
 
     @property
     def goals(self) -> dict[str, bool]:
@@ -442,9 +419,9 @@ def file_schema() -> dict[str, Any]:
     single = [name for name, measure in MEASURES.items() if not measure.everywhere]
     definitions, tables = schema["$defs"], schema["properties"]
     tables["variables"] = _of(IN_FILES, "VariableTable", {name: EVERY[name].meaning for name in IN_FILES})
-    tables["minimise"] = _of(single, "TermTable", others=True)
+    tables["minimise"] = _of(single, "TermTable")
     tables["minimise"]["properties"]["over"] = {"enum": ["worst", "mean"]}
-    tables["require"] = _of(MEASURES, "LimitTable", others=True)
+    tables["require"] = _of(MEASURES, "LimitTable")
     definitions["TradeOffTable"]["properties"] |= _of(single, "GoalTable")["properties"]
     tables["uncertain"] = {"type": "object"}
     speeds = definitions["SceneFile"]["properties"]
@@ -452,12 +429,6 @@ def file_schema() -> dict[str, Any]:
     course = {"type": "object", "properties": {"time": times, "speed": times}, "required": ["time", "speed"]}
     constant = speeds["tow_speed"]
     speeds["tow_speed"] = {"description": constant.pop("description"), "anyOf": [constant, course]}
-    # A share inherits what its own table omits, so even the bounds of its variables are optional.
-    definitions["VariableOfShare"] = {k: own for k, own in definitions["VariableTable"].items() if k != "required"}
-    own = {name: {"$ref": f"#/properties/{name}"} for name in SHARE_TABLES}
-    own["variables"] = _of(IN_FILES, "VariableOfShare")
-    share = {"type": "object", "properties": own, "additionalProperties": False}
-    tables["shares"] = {"type": "object", "additionalProperties": share}
     return {"$schema": _DIALECT, **schema, "title": "plough_opt problem file"}
 
 
@@ -472,192 +443,18 @@ class _WithoutNull(GenerateJsonSchema):
         return {key: part for key, part in found.items() if (key, part) != ("default", None)}
 
 
-def _of(
-    names: Iterable[str], table: str, meanings: dict[str, str] | None = None, *, others: bool = False
-) -> dict[str, Any]:
+def _of(names: Iterable[str], table: str, meanings: Mapping[str, str] = {}) -> dict[str, Any]:
     """Return the schema of a table that maps names to tables of one kind.
 
     Args:
         names: valid names; a dotted name may also be written as nested tables.
         table: name of the kind of table among the definitions.
         meanings: name -> description.
-        others: whether other names are valid too.
     """
-    described = {name: {"description": text} for name, text in (meanings or {}).items()}
-    properties: dict[str, Any] = {name: {"$ref": f"#/$defs/{table}"} | described.get(name, {}) for name in names}
-    outer = {name.partition(".")[0] for name in properties if "." in name}
-    return {
-        "type": "object",
-        "properties": properties | {name: {"type": "object"} for name in sorted(outer)},
-        "additionalProperties": {"$ref": f"#/$defs/{table}"} if others else False,
+    properties: dict[str, Any] = {
+        name: {"$ref": f"#/$defs/{table}"} | ({"description": meanings[name]} if name in meanings else {})
+        for name in names
     }
-
-
-TABLE = "measures"
-# Longer or more deeply nested expressions belong in a script.
-_MAX_LENGTH: Final = 300
-_MAX_DEPTH: Final = 20
-# No physical result needs a higher power.
-_MAX_POWER: Final = 8.0
-# Type of an operator, or name of a function -> function from the values of the operands to the result.
-_Rules: TypeAlias = dict[Any, Callable[..., Any]]
-_ARITHMETIC: Final[_Rules] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-} | {name: getattr(expressions, name) for name in ("sqrt", "exp", "log", "absolute", "minimum", "maximum")}
-_FUNCTIONS: Final = tuple(name for name in _ARITHMETIC if isinstance(name, str))
-_EXAMPLE: Final = '"tow_power / (2 * loosened_radius)"'
-
-
-@lru_cache(maxsize=128)
-def defined_measure(text: str, unit: str) -> Measure:
-    """Return a measure that an expression computes from other results and quantities.
-
-    Args:
-        text: an expression of results such as mean_draft and quantities such as share.height, with + - * / **, sqrt,
-            exp, log, absolute, minimum and maximum.
-        unit: unit of the result, "" if it is dimensionless.
-
-    Raises:
-        InputError: the text is not such an expression, a name is unknown, or the units do not agree.
-    """
-    if len(text) > _MAX_LENGTH:
-        raise InputError(f"the expression has {len(text)} characters; at most {_MAX_LENGTH} can be read")
-    try:
-        tree = ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError):
-        raise InputError(f"= {short(repr(text))} cannot be read: write an expression like {_EXAMPLE}") from None
-    Unit(unit).split(f"1 {unit}")  # raises InputError for an unreadable unit
-    parts = [MEASURES[name] for name in _checked_names(tree, text, unit) if name in MEASURES]
-
-    def of(run: Run) -> Expression:
-        def leaf(what: str | float) -> Expression:
-            if isinstance(what, float):
-                return what
-            return MEASURES[what].of(run) if what in MEASURES else quantity_of(run.scene, what)
-
-        try:
-            with np.errstate(all="ignore"):
-                value: Expression = _computed(tree, leaf, _ARITHMETIC)
-        except ArithmeticError:  # division by 0, overflow
-            value = math.nan
-        if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
-            raise InputError(f"{short(repr(text))} has no finite value in this run: check divisions, roots, logs")
-        return value
-
-    needs = tuple(dict.fromkeys(what for one in parts for what in one.needs))
-    return Measure(Unit(_si(unit)), of, needs, random=any(one.random for one in parts))
-
-
-def _si(unit: str) -> str:
-    """Return the SI unit of the same dimension, or the unit itself if its factor to SI is 1."""
-    base = registry().Quantity(1.0, unit or "dimensionless").to_base_units()
-    return unit if base.magnitude == 1.0 else f"{base.units:~C}"
-
-
-def _checked_names(tree: ast.expr, text: str, unit: str) -> dict[str, None]:
-    """Return the names of results and quantities in an expression, in order.
-
-    Raises:
-        InputError: a name is unknown, unlike units are added, or the result's unit differs from the stated one.
-    """
-    unit_of, names = registry().Unit, dict[str, None]()
-    plain, zero = unit_of("dimensionless"), unit_of("dimensionless")  # a plain 0 has any unit
-
-    def leaf(what: str | float) -> Any:
-        if isinstance(what, float):
-            return plain if what else zero
-        single = [name for name, measure in MEASURES.items() if not measure.everywhere]
-        check_named("{} has no single value to compute with", what, [*single, *QUANTITIES])
-        names[what] = None
-        return unit_of((MEASURES[what].unit.symbol if what in MEASURES else QUANTITIES[what].unit) or "dimensionless")
-
-    def alike(one: Any, other: Any = plain) -> Any:
-        if one is zero or other is zero:
-            return other if one is zero else one
-        if one.dimensionality != other.dimensionality:
-            raise InputError(f"= {short(repr(text))} combines unlike units, {one} and {other}")
-        return one
-
-    rules = dict.fromkeys((ast.Add, ast.Sub, "exp", "log", "minimum", "maximum"), alike)
-    powers = {"sqrt": lambda own: own**0.5, "absolute": lambda own: own}
-    found = _computed(tree, leaf, _ARITHMETIC | rules | powers)
-    if found.dimensionality != unit_of(unit or "dimensionless").dimensionality:
-        stated, given = (f"the unit '{one}'" if one else "no unit" for one in (unit, f"{found:~P}"))
-        raise InputError(f"has {stated}, but its expression has {given}: change one of the two")
-    return names
-
-
-def _computed(tree: ast.expr, leaf: Callable[[str | float], Any], rules: _Rules, depth: int = 0) -> Any:
-    """Return the value of an expression: a number, a symbol, or its unit.
-
-    Args:
-        tree: the expression.
-        leaf: function from a name, such as "mean_draft" or "share.height", or a number to its value.
-        rules: how operators and functions compute.
-        depth: how deep the expression is nested in others.
-    """
-    if depth > _MAX_DEPTH:
-        raise InputError(f"the expression is nested more than {_MAX_DEPTH} deep: define its parts as separate results")
-
-    def inner(part: ast.expr) -> Any:
-        return _computed(part, leaf, rules, depth + 1)
-
-    match tree:
-        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-            if number > sys.float_info.max:
-                raise InputError(f"the number {short(ast.unparse(tree))} is too large")
-            return leaf(float(number))
-        case ast.Name() | ast.Attribute():
-            return leaf(ast.unparse(tree))
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return rules[ast.Mult](leaf(-1.0), inner(operand))
-        case ast.BinOp(left=base, op=ast.Pow(), right=power):
-            return inner(base) ** _power(power)
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in rules:
-            return rules[type(op)](inner(left), inner(right))
-        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in _FUNCTIONS:
-            if len(arguments) != (2 if name in ("minimum", "maximum") else 1):
-                raise InputError(f"'{ast.unparse(tree)}' has the wrong number of arguments")
-            return rules[name](*map(inner, arguments))
-    functions = ", ".join(_FUNCTIONS)
-    raise InputError(f"'{short(ast.unparse(tree), 60)}' cannot be computed: use + - * / **, and {functions}")
-
-
-def _power(tree: ast.expr) -> float:
-    """Return the exponent of a power, which must be a number."""
-    sign = 1.0
-    if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
-        sign, tree = -1.0, tree.operand
-    if not isinstance(tree, ast.Constant) or isinstance(tree.value, bool) or not isinstance(tree.value, int | float):
-        raise InputError(f"the power '{ast.unparse(tree)}' must be a number")
-    if tree.value > _MAX_POWER:
-        raise InputError(f"the power {tree.value} must be at most {_MAX_POWER:g}")
-    return sign * float(tree.value)
-
-
-def measures_of(table: ProblemTable) -> Mapping[str, Measure]:
-    """Return name -> measure of every result that a file can name: those of plough_opt and those it defines."""
-    return MEASURES | {name: defined_measure(entry.value, entry.unit) for name, entry in table.measures.items()}
-
-
-def check_definitions(source: Source, table: ProblemTable) -> bool:
-    """Note every invalid result in [measures]; return True if all are valid."""
-    valid = 0
-    for name, entry in table.measures.items():
-        with source.noting((TABLE, name), prefix=f"'{name}' "):
-            if name in MEASURES or name in EVERY:
-                raise InputError("is the name of a built-in result or quantity: choose another")
-            if not name.isidentifier():
-                raise InputError("cannot be a name: use letters, digits and _")
-            defined_measure(entry.value, entry.unit)
-            valid += 1
-    return valid == len(table.measures)
-
-
-def total_of(measure: Measure, runs: Sequence[Run]) -> Expression:
-    """Return the sum of a result over runs."""
-    first, *rest = map(measure.of, runs)
-    return sum(rest, first)
+    outer = sorted({name.partition(".")[0] for name in properties if "." in name})
+    nested = {name: {"type": "object"} for name in outer}
+    return {"type": "object", "properties": properties | nested, "additionalProperties": False}

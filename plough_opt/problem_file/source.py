@@ -66,7 +66,6 @@ class Source:
         data: the parsed tables, with overrides applied.
         overridden: path of each key that an override set -> the override as the user wrote it.
         begun: path of each table that an override created -> that override.
-        share: path of the table of the chosen share, if the file has several.
         read_files: name of each data file, as the problem file writes it -> its text.
     """
 
@@ -81,7 +80,6 @@ class Source:
         self.text = text.removeprefix(BYTE_ORDER_MARK).replace("\r\n", "\n")
         self.overridden: dict[Keys, str] = {}
         self.begun: dict[Keys, str] = {}
-        self.share: Keys = ()
         self.read_files: dict[str, str] = {}
         self._noted: list[InputError] = []
         self._unlisted = 0  # schema errors beyond the longest list
@@ -117,8 +115,7 @@ class Source:
 
     def line_of(self, keys: Sequence[str]) -> int | None:
         """Return the line on which a key begins, or else the line of the innermost table around it that is found."""
-        tables = ((*self.share,), ()) if self.share else ((),)
-        places = (".".join((*table, *keys[:count])) for count in range(len(keys), 0, -1) for table in tables)
+        places = (".".join(keys[:count]) for count in range(len(keys), 0, -1))
         return next((self._line_of[place] for place in places if place in self._line_of), None)
 
     @cached_property
@@ -132,7 +129,6 @@ class Source:
     def error(self, keys: Sequence[str], message: str) -> InputError:
         """Return an error about a key that names its line, or the override that set it."""
         for path, text in self.overridden.items():
-            path = path[len(self.share) :] if self.share and path[: len(self.share)] == self.share else path
             within_entry = keys[0] in ("variables", "minimise", "require") and len(keys) >= 2
             if path == tuple(keys[: len(path)]) or (within_entry and path[:2] == tuple(keys) and path[2] != "log"):
                 return PlacedError(f"--set {text}: {message}", 0)

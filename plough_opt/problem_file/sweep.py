@@ -33,7 +33,6 @@ from plough_opt.motion.solvers.checks import BROKEN_WAVE, broken_wave_in_words
 from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.problem import Problem, longest_period, whole_waves
 from plough_opt.problem_file.reading import check_changed
-from plough_opt.problem_file.schema import measures_of
 from plough_opt.problem_file.source import read_axis
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.sweep import engine
@@ -266,12 +265,12 @@ class Simulation:
     @property
     def units(self) -> dict[str, str]:
         """Result -> SI unit."""
-        return _units(self.problem)
+        return _units()
 
     def __call__(self, values: dict[str, float]) -> WithNotes:
         """Return the results at a point, with the run's warnings; ``values`` maps quantities to SI values."""
         run = self.problem.simulate(values)
-        return WithNotes(_of_run(self.problem, run), run.warnings)
+        return WithNotes(_of_run(run), run.warnings)
 
 
 @dataclass(frozen=True)
@@ -285,8 +284,8 @@ class Optimisation:
         """Result -> SI unit."""
         problem = self.problem
         variables = {key: variable.unit for key, variable in problem.variables.items()}
-        margins = {f"margin of {name}": measures_of(problem.table)[name].unit.symbol for name in problem.table.require}
-        return {**variables, **margins, **_units(problem)}
+        margins = {f"margin of {name}": MEASURES[name].unit.symbol for name in problem.table.require}
+        return {**variables, **margins, **_units()}
 
     def __call__(self, values: dict[str, float]) -> WithNotes:
         """Return optimum and results at a point, with all warnings; ``values`` maps quantities to SI values."""
@@ -294,12 +293,11 @@ class Optimisation:
         design, symbolic = problem.design()
         best = design.solve()  # not `Problem.optimise`, which also looks for the best design in catalogue values
         run = best(symbolic)
-        assert isinstance(run, Run)  # ProblemSweep.of refuses several shares
         numbers = {
             "objective": best.objective,
             **best.variables,
             **{f"margin of {name}": margin for name, margin in best.margins.items()},
-            **_of_run(problem, run),
+            **_of_run(run),
             "local_optima": len(best.local_optima),
             "flat_directions": len(best.flat_directions),
             "objective_gap": best.gap,
@@ -328,12 +326,12 @@ class SimulationOfMany:
     @property
     def results(self) -> tuple[str, ...]:
         """Names of the results: those of `Simulation` except peaks, which a batch does not compute."""
-        return (*_columns(self.problem, self.problem.scene()), "error_estimate")
+        return (*_columns(self.problem.scene()), "error_estimate")
 
     @property
     def units(self) -> dict[str, str]:
         """Result -> SI unit."""
-        units = _units(self.problem)
+        units = _units()
         return {name: units[name] for name in self.results if name in units}
 
     @property
@@ -423,7 +421,7 @@ def _of_averages(problem: Problem, scene: Scene, averages: ca.MX) -> list[Expres
     over_time: dict[str, Any] = dict.fromkeys([*Run.__dataclass_fields__][1:10])
     run = Run(scene, **over_time, averages=Averages(*ca.vertsplit(averages)), accuracy=problem.accuracy)
     found = []
-    for name, one in _columns(problem, scene).items():
+    for name, one in _columns(scene).items():
         try:
             found.append(one.of(run))
         except (AttributeError, TypeError):
@@ -439,20 +437,20 @@ def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
     return dataclasses.replace(problem, fixed=fixed, variables=left, notes=(*problem.notes, *notes))
 
 
-def _columns(problem: Problem, scene: Scene) -> dict[str, Measure]:
+def _columns(scene: Scene) -> dict[str, Measure]:
     """Return name -> measure of the results of a scene that become columns of a sweep."""
     law, random = scene.law, scene.effects.random_strength is not None
-    known = {name: one for name, one in measures_of(problem.table).items() if not one.everywhere}
+    known = {name: one for name, one in MEASURES.items() if not one.everywhere}
     return {name: one for name, one in known.items() if (random or not one.random) and one.given_by(law)}
 
 
-def _of_run(problem: Problem, run: Run) -> dict[str, float]:
+def _of_run(run: Run) -> dict[str, float]:
     """Return the results of a numeric run that become columns of a sweep."""
-    own = {name: float(one.of(run)) for name, one in _columns(problem, run.scene).items()}
+    own = {name: float(one.of(run)) for name, one in _columns(run.scene).items()}
     return own | {name: getattr(run, name) for name in ("peak_force", "peak_deflection", "error_estimate")}
 
 
-def _units(problem: Problem) -> dict[str, str]:
+def _units() -> dict[str, str]:
     """Return result -> SI unit."""
-    own = {name: one.unit.symbol for name, one in measures_of(problem.table).items()}
+    own = {name: one.unit.symbol for name, one in MEASURES.items()}
     return own | {"peak_force": "N", "peak_deflection": "m"}

@@ -16,8 +16,9 @@ from plough_opt.core.expressions import Expression, as_number
 from plough_opt.core.quantities import quantities
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.field_data import lognormal
-from plough_opt.problem_file.schema import LimitTable, ProblemTable, at, measures_of
+from plough_opt.problem_file.schema import LimitTable, ProblemTable, at
 from plough_opt.problem_file.source import Source
 from plough_opt.soil.soil import Soil
 
@@ -99,7 +100,7 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
 
 def _check_measures(source: Source, table: ProblemTable) -> None:
     """Note invalid measures, and in a file without an uncertain soil the keys that need one."""
-    results = measures_of(table)
+    results = MEASURES
     for kind in ("minimise", "require"):
         for name, entry in getattr(table, kind).items():
             if table.uncertain is None:
@@ -307,7 +308,7 @@ def robust_design(problem: Problem, field: SoilDistribution, start: Mapping[str,
     from plough_opt.design import Design
     from plough_opt.studies.uncertainty import Robust
 
-    table, design, results = problem.table, Design(), measures_of(problem.table)
+    table, design, results = problem.table, Design(), MEASURES
     uncertain: Mapping[str, Any] = table.uncertain or {}
     symbols = {
         key: variable.declared(design, key, min(max(start[key], variable.lower), variable.upper))

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.linear_motion import averages, oscillation, released
-from helpers.problem_files import COTTON, SUBSOILER
+from helpers.problem_files import SUBSOILER
 from helpers.scenes import ARRAYS, AVERAGES, R1_RUNS, R1_SOIL, assert_alike, results_of, scene_of
 
 import plough_opt as po
@@ -300,24 +300,6 @@ def test_designs_sweeps_and_components_average_over_whole_waves():
 def test_whole_waves_of_nothing_are_refused(changes, word):
     with pytest.raises(po.InputError, match=word):
         po.read_problem(SUBSOILER, changes)
-
-
-def test_the_frame_has_one_average(refusal_of_shares):
-    assert "frame" in refusal_of_shares('scene.average = "whole waves"')
-
-
-@pytest.fixture
-def refusal_of_shares(tmp_path):
-    """Return the message with which a line in the table of a share is refused."""
-
-    def refusal(line):
-        path = tmp_path / "shares.toml"
-        path.write_text(f"{COTTON}\n[shares.front]\n{line}\n[shares.rear]\n", encoding="utf-8")
-        with pytest.raises(po.InputError) as caught:
-            po.read_problem(path)
-        return str(caught.value)
-
-    return refusal
 
 
 def test_the_optimum_does_not_depend_on_the_duration_of_whole_waves():

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed
+from helpers.problem_files import COTTON, SUBSOILER, changed
 from helpers.scenes import Shank, Waves
 
 import plough_opt as po
-from plough_opt.app.page_model import AVERAGES, ROWS, design_model, frame_model, page_model, switches
+from plough_opt.app.page_model import AVERAGES, ROWS, design_model, page_model, switches
 from plough_opt.app.report import asset
 from plough_opt.core.errors import DomainError, PloughError
 from plough_opt.motion.effects import OWN_EFFECTS
-from plough_opt.problem_file.schema import measures_of
+from plough_opt.motion.vocabulary import MEASURES
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="needs node: apt-get install nodejs")
@@ -94,9 +94,9 @@ def runs_of(problem, model, rows):
     return [simulated(problem, dict(zip(names, row, strict=True))) for row in rows]
 
 
-def assert_equal(problem, rows, runs, results):
+def assert_equal(rows, runs, results):
     """Assert that results are those of `po.simulate`, and refusals those of Python in its own words."""
-    measures, compared = measures_of(problem.table), 0
+    measures, compared = MEASURES, 0
     for row, run, found in zip(rows, runs, results, strict=True):
         if isinstance(run, PloughError):
             assert isinstance(found, str), (run, row)
@@ -129,9 +129,9 @@ def test_results_in_node_and_chromium_are_those_of_simulate(scene, browser, tmp_
     model = page_model(problem)
     rows = designs(model, scene)
     runs = runs_of(problem, model, rows)
-    assert_equal(problem, rows, runs, in_node(model, rows, tmp_path))
+    assert_equal(rows, runs, in_node(model, rows, tmp_path))
     page = browser.new_page()
-    assert_equal(problem, rows, runs, page.evaluate(f"() => {{ {script(model, rows)}; return ALL; }}"))
+    assert_equal(rows, runs, page.evaluate(f"() => {{ {script(model, rows)}; return ALL; }}"))
     page.close()
 
 
@@ -183,7 +183,7 @@ def test_own_resistances_are_written_from_their_graph(tmp_path, monkeypatch):
     problem = po.read_problem(SUBSOILER, [own])
     model = page_model(problem)
     rows = designs(model, "as in the file")
-    assert_equal(problem, rows, runs_of(problem, model, rows), in_node(model, rows, tmp_path))
+    assert_equal(rows, runs_of(problem, model, rows), in_node(model, rows, tmp_path))
 
 
 def test_a_fixed_variable_keeps_its_catalogue_and_bounds(tmp_path):
@@ -231,24 +231,6 @@ def test_a_design_of_ones_own_is_that_of_simulate(tmp_path):
     assert outside == [
         "height = 0.5 m must be at most 0.4 m: the steps of this page resolve the motion between these bounds"
     ]
-
-
-@needs_node
-def test_several_shares_are_those_of_their_machine(tmp_path):
-    problem = po.read_problem(PROBLEMS / "two_shares.toml")
-    model = frame_model(problem)
-    model.data["error"] = 1e-9
-    rows = [row for row in designs(model, "as in the file") if 0.5 < row[0] < 0.8][:4]
-    names = [one["name"] for one in model.data["inputs"]]
-    for row, found in zip(rows, in_node(model, rows, tmp_path), strict=True):
-        machine = problem.machine(dict(zip(names, row, strict=True)))
-        assert found["mean_draft"] == pytest.approx(machine.mean_draft, rel=1e-7)
-        for share, run in machine.runs.items():
-            own = [found[f"{share}.{name}"] for name in ("force_rms", "mean_deflection", "specific_draft")]
-            assert own == pytest.approx([run.force_rms, run.mean_deflection, run.specific_draft], rel=1e-7)
-            for name in ("mount_force", "deflection"):
-                assert found["rows"][f"{share}.{name}"] == pytest.approx(getattr(run, name), rel=1e-7)
-    assert len(rows) > 1
 
 
 WRONG = {"share.height": -0.1, "soil.density_ratio": 1.0, "share.wedge_angle": 1.6, "scene.stiffness": 0.0,

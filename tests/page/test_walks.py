@@ -339,34 +339,6 @@ def test_without_scripts_the_report_is_readable(browser, written):
     context.close()
 
 
-def test_several_shares_move_together_and_alone(opened, tmp_path):
-    fixed = ["share.wedge_angle=39 deg", "scene.stiffness=80 kN/m", "scene.duration=0.5 s"]
-    problem = po.read_problem(PROBLEMS / "two_shares.toml", fixed)
-    page = opened(po.explore(problem, tmp_path / "frame.html"))
-    page.get_by_label("share height, rear in m").fill("0,33")
-    page.evaluate("ploughOpt.set({ 'soil.cohesion': 25e3, 'rear.soil.cohesion': 16e3 })")
-    settled(page)
-    machine = problem.machine(state(page))
-    for name, draft in [("mean draft", machine.mean_draft), ("mean draft, rear", machine.runs["rear"].mean_draft)]:
-        assert cell(page, name) == f"{draft / 1e3:.4g} kN"
-    assert page.locator("#now_force .u-legend").inner_text().endswith("now, frontnow, rear")
-    set_rear = """--set 'shares.rear.soil.cohesion="16 kPa"'"""
-    assert page.locator("#command").input_value().endswith(set_rear)
-    own = po.read_problem(PROBLEMS / "two_shares.toml", [*fixed, 'shares.rear.soil.cohesion="16 kPa"'])
-    assert own.values()["rear.soil.cohesion"] == 16e3
-    with page.expect_download() as download:
-        page.get_by_role("button", name="CSV", exact=True).click()
-    rows = list(csv.reader(download.value.path().read_text().splitlines()))
-    column = rows[0].index("rear.mount_force [N]")
-    assert [float(row[column]) for row in rows[1:]] == pytest.approx(machine.runs["rear"].mount_force, rel=1e-6)
-
-
-def test_a_frame_without_an_objective_is_refused_with_the_way_out(tmp_path):
-    problem = po.read_problem(PROBLEMS / "two_shares.toml", ["minimise={}"])
-    with pytest.raises(po.InputError, match=r"choose one share by --set shares=front"):
-        po.explore(problem, tmp_path / "frame.html")
-
-
 def test_a_file_without_variables_has_controls_and_no_landscape(opened, tmp_path):
     file = tmp_path / "still.toml"
     fixed = STATIC.partition("[variables]")[0].replace("[scene]", 'height = "0.25 m"\n[scene]')

@@ -11,7 +11,7 @@
   const { inputs } = model, place = (id) => /** @type {any} */ (document.getElementById(id));
   const variables = inputs.flatMap((one, k) => one.variable ? [k] : []);
   const initial = inputs.map((one) => model.best[one.name] ?? one.value);
-  /* A design of the user's own has no motion that the page knows, and one of several shares no single scene. */
+  /* A design of the user's own has no motion that the page knows. */
   const single = Boolean(model.tables), panels = Object.entries(model.panels), peaks = single ? [
     { ...model.panels.force, name: "peak_force", label: `peak mount force${model.without}` },
     { ...model.panels.deflection, name: "peak_deflection", label: `peak deflection${model.without}` },
@@ -346,15 +346,13 @@
   }).observe(place("now_cloud"));
 
   /* What leaves the page: the command, the problem file, tables, the solid. */
-  /* Where a quantity stands in the file: one of a single share in that share's table. */
-  const path = ({ name }) => model.prefixes?.some((share) => name.startsWith(`${share}.`)) ? `shares.${name}` : name;
   const written = (k) => `${Number((now.x[k] / inputs[k].factor).toPrecision(15))}${inputs[k].symbol ? ` ${inputs[k].symbol}` : ""}`;
   const quoted = (word) => `'${word.replaceAll("'", "'\\''")}'`;
   /* Entries of problem files that switch effects as they are now. */
   const settings = () => switchedIn(now.effects).flatMap((k) => model.switches[k].settings);
   const command = () => [`plough-opt ${model.command} ${quoted(model.file)}`, ...model.overrides.map((one) => `--set ${quoted(one)}`),
     ...inputs.flatMap((one, k) => !(one.variable && model.certifies) && now.x[k] !== initial[k] && !settings().some(([key]) => key === one.name)
-      ? [`--set ${quoted(`${path(one)}="${written(k)}"`)}`] : []),
+      ? [`--set ${quoted(`${one.name}="${written(k)}"`)}`] : []),
     ...settings().map(([key, v]) => `--set ${quoted(`${key}=${toml(v)}`)}`)].join(" ");
   const pairs = (table) => Object.entries(table).map(([key, v]) => `${JSON.stringify(key)} = ${toml(v)}`);
   const toml = (v) => Array.isArray(v) ? `[${v.map(toml).join(", ")}]`

@@ -547,7 +547,7 @@ class Machine(Saveable):
             >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
             >>> machine = po.Machine({"front": run, "rear": run})
             >>> machine.response().rows[0]
-            ('mean draft', '1.993 kN', '1.845 kN', '3.839 kN')
+            ('mean draft', '1.993 kN', '1.993 kN', '3.987 kN')
         """
         return response_table(self.runs, self.origin)
 

@@ -28,7 +28,6 @@ COMMANDS = {
     "`plough-opt check problems/cotton_subsoiler.toml`": ["check", COTTON],
     "`plough-opt simulate problems/cotton_subsoiler.toml`": ["simulate", COTTON],
     "`plough-opt optimise problems/cotton_subsoiler.toml`": ["optimise", COTTON],
-    "the same with `--over worst`": ["optimise", COTTON, "--over", "worst"],
     "`plough-opt explore problems/cotton_subsoiler.toml -o page.html`": ["explore", COTTON, "-o", "page.html"],
     "`plough-opt optimise problems/uncertain_field.toml`": ["optimise", HERE / "uncertain_field.toml"],
     "`plough-opt tradeoff problems/draft_oscillation_loosening.toml`": [

@@ -122,7 +122,7 @@ def optimise(options: argparse.Namespace) -> None:
         _optimise_robust(problem, options)
         return
     with progress() as notify:
-        how: dict[str, Any] = {"search": _search_of(options.search), "judge": options.judge, "seed": options.seed}
+        how: dict[str, Any] = {"search": _search_of(options.search), "seed": options.seed}
         best, run = problem.optimise(notify, parameters=options.sensitivity, **how)
         found, unknown = tables.sensitivities_of(best, notify) if options.sensitivity else ((), "")
     if unknown:

@@ -26,10 +26,6 @@ from plough_opt.core.units import Unit
 
 _SHARED: Final[dict[str, dict[str, Any]]] = {
     "json": {"action": "store_true", "help": "print JSON (SI units) instead of a table"},
-    "over": {
-        "choices": ("worst", "mean"),
-        "help": "minimise the worst or the mean within the tolerances, and keep all requirements there",
-    },
     "plot": {"metavar": "FILE", "help": "write a picture: .png, .svg or .pdf"},
     "csv": {"metavar": "FILE", "help": "write a table of the result (SI units): .csv, or .xlsx"},
     "output": {"metavar": "FILE", "help": "write the whole result as JSON"},
@@ -179,9 +175,6 @@ def _optimise(verb: _Parser) -> None:
         " with commas (default: auto)"
     )
     verb.option("search", "HOW", search, default="auto")
-    judge = "rank optima by their median within the tolerances, or by their own objective (default: tolerance)"
-    verb.choice("judge", ("tolerance", "bare"), judge, "tolerance")
-    verb.shared("over")
     verb.switch(
         "sensitivity", "print the change of the optimum in per cent for one per cent more of every quantity and limit"
     )

@@ -118,8 +118,6 @@ def question(report: Report) -> list[str]:
     limits = [f"{called(name)} {limits_of(problem, name)}" for name in table.require]
     if limits:
         text.append(f"Required: {listed(limits)}.")
-    if report.best is not None and report.best.over:
-        text.append(f"{report.best.over.capitalize()}.")
     return text
 
 

@@ -78,9 +78,6 @@ def read(options: argparse.Namespace) -> Problem:
     """
     from plough_opt.problem_file import read_problem  # needs numerical libraries, which other commands do without
 
-    over = getattr(options, "over", None)
-    if isinstance(over, str):  # a sweep has several of another kind
-        options.set = [*options.set, f"minimise.over={over}"]
     problem = read_problem(options.file, options.set)
     check_outputs(options)
     for note in (*problem.notes, *problem.cautions):

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -229,18 +229,11 @@ def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> boo
     return False
 
 
-Judge = Literal["tolerance", "bare"]
-"""What optima are ranked by: the median objective over the tolerance box, or the objective itself."""
-
-
 class BoxSample:
     """The sample of a tolerance box."""
 
     designs: Final = 64
     seed: Final = 64
-    # Of a solve over the box: most runs of all designs together, which then take seconds, and fewest designs.
-    most_runs: Final = 64
-    fewest: Final = 8
 
 
 @dataclass(frozen=True)
@@ -286,46 +279,6 @@ def boxes(variables: Sequence[Variable], points: Vector, unit: Vector | None = N
     return found.reshape(-1, len(variables))
 
 
-def ranking_criterion(landscape: Landscape, judge: Judge) -> Callable[[Vector], Vector]:
-    """Return the function from designs, a row each, to the values by which they are ranked, in units of the merit."""
-    if _judged_bare(landscape, judge):
-        return lambda points: landscape(points).merit
-    return lambda points: np.asarray(np.median(_objectives(landscape, points), axis=1))
-
-
-def _judged_bare(landscape: Landscape, judge: Judge) -> bool:
-    # A program over a whole tolerance box accounts for the tolerances already.
-    return judge == "bare" or not landscape.vectorised or landscape.program.bare is not None
-
-
-def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
-    """Return the numbers of designs, a row each, best first.
-
-    Sample medians differ by chance. Designs whose medians cannot be distinguished from the best one's with 64 samples
-    are ranked by their own objectives, unless they are needles.
-    """
-    if len(points) == 1:
-        return [0]
-    own = landscape(points, finer=FINER).f
-    if _judged_bare(landscape, judge):
-        return [int(k) for k in np.argsort(own, kind="stable")]
-    low, median, high = np.quantile(_objectives(landscape, points, FINER), (0.25, 0.5, 0.75), axis=1, method="higher")
-    best = int(np.argmin(median))
-    broad = ~_too_high(landscape, median, own)
-    with np.errstate(invalid="ignore"):
-        # For a normal distribution the median's error is 1.25 sigma/sqrt(n), and the interquartile range is 1.35 sigma.
-        error = 1.25 / math.sqrt(BoxSample.designs) / 1.35 * np.where(np.isfinite(high), high - low, np.inf)
-        equal = broad & (median - median[best] <= 2.0 * np.hypot(error, error[best]))
-    equal[best] = True
-    return sorted(range(len(points)), key=lambda k: (not equal[k], own[k] if equal[k] else median[k]))
-
-
-def _objectives(landscape: Landscape, points: Vector, finer: float = 1.0) -> Vector:
-    """Return the objectives in the boxes around designs, a row for each box; infinite where not evaluable."""
-    f = _as_made(landscape)(boxes(landscape.program.declared.variables, points), finer=finer).f
-    return np.where(np.isnan(f), np.inf, f).reshape(len(points), -1)
-
-
 def _as_made(landscape: Landscape) -> Landscape:
     """Return the landscape of made designs: a workshop does not choose a made dimension again.
 
@@ -341,16 +294,13 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     """Return the spread of a scaled design within its tolerances; None if runs are integrated one by one.
 
     Args:
-        landscape: of the design, or of its tolerance box.
+        landscape: of the design.
         y: the scaled design.
         objective: the design's own objective, in its unit.
     """
     if not landscape.vectorised:
         return None
-    if (bare := landscape.program.bare) is not None:
-        program = bare.at(landscape.p, any_guess=True)
-        landscape = Landscape(program, landscape.p, range(len(program.declared.variables)))
-    landscape, y = _as_made(landscape), y[: landscape.dimensions]
+    landscape = _as_made(landscape)
     program = landscape.program
     n = len(program.declared.variables)
     designs = boxes(program.declared.variables, y[None], np.vstack([unit_box(n), corners(n, BoxSample.designs)]))

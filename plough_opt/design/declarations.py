@@ -60,7 +60,6 @@ class Variable(Scaled):
     unit: str
     log: bool
     tolerance: float | str | None = None
-    auxiliary: bool = False  # added by the program and left out of reports
     domain: tuple[float, float] = EVERYWHERE
     display: Display | None = None  # unit in reports, if the user chose one
 
@@ -91,11 +90,6 @@ class Variable(Scaled):
         value = self.unscaled(y)
         half = self._half_width(value)
         return self.scaled(maximum(value - half, self.lower)), self.scaled(minimum(value + half, self.upper))
-
-    def within_tolerance(self, value: Expression, part: float) -> Expression:
-        """Return a value within the tolerance interval of another, at a part from 0 (lower end) to 1 (upper end)."""
-        low, high = self.tolerance_interval(self.scaled(value))
-        return self.unscaled(low + (high - low) * part)
 
     def _half_width(self, value: Expression) -> Expression:
         """Return the declared tolerance at a value, in the variable's unit; 0 if none was declared.
@@ -152,7 +146,6 @@ class Requirement:
     at_least: float | None
     at_most: float | None
     unit: str
-    auxiliary: bool = False  # added by the program and left out of reports
     display: Display | None = None  # unit in reports, if the user chose one
     inside: float = 0.0  # distance that is kept from limits of 0
 
@@ -210,8 +203,8 @@ class Declarations:
         return [self.objective, *(r.expression for r in self.requirements)]
 
     def named(self, numbers: Iterable[float]) -> dict[str, float]:
-        """Return name -> number from a number for each variable; those added by the program are left out."""
-        return {v.name: float(x) for v, x in zip(self.variables, numbers, strict=True) if not v.auxiliary}
+        """Return name -> number from a number for each variable."""
+        return {v.name: float(x) for v, x in zip(self.variables, numbers, strict=True)}
 
     def parameter_values(self, changed: Mapping[str, Any]) -> NDArray[np.float64]:
         """Return the values of all parameters.
@@ -258,13 +251,11 @@ class Declarations:
     def ranges(self) -> str:
         """Return the bounds of the variables in words."""
         return ", ".join(
-            f"{v.name} from {in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}"
-            for v in self.variables
-            if not v.auxiliary
+            f"{v.name} from {in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}" for v in self.variables
         )
 
     def describe(self, values: NDArray[np.float64]) -> str:
-        """Return the variables with certain values in words; those added by the program are left out."""
+        """Return the variables with certain values in words."""
         return values_in_words(self.named(values), {v.name: v.unit for v in self.variables})
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from plough_opt.core.checks import (
     array_of,
-    check_choice,
     check_kind,
     check_switch,
     check_text,
@@ -28,11 +27,9 @@ from plough_opt.core.process import without_notices
 from plough_opt.core.quantities import warn_of_slips
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
-from plough_opt.design.confirmation import Judge
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.program import Program
-from plough_opt.design.over_tolerances import Over, ToleranceBoxSolver
 from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.search.effort import Search, TimeLimit
 from plough_opt.design.search.explore import Progress, notifier
@@ -71,9 +68,7 @@ class Design:
         self._parameters: list[Parameter] = []
         self._requirements: list[Requirement] = []
         self._objective: ca.MX | None = None
-        self._over: Over | None = None
         self._program: Program | None = None
-        self._boxed: ToleranceBoxSolver | None = None
 
     def variable(
         self,
@@ -98,8 +93,8 @@ class Design:
             unit: SI unit of the symbol, for reports; not needed if the numbers have units.
             log: scale the variable by its logarithm, for bounds that are decades apart.
             tolerance: half width, in ``unit``, of the band that a workshop keeps, or a percentage of the value such as
-                "0.5 %". Optima are judged within it. Default: 0.3 % of the range between the bounds, or of the range of
-                the logarithm with ``log``.
+                "0.5 %", for the ``spread`` of optima. Default: 0.3 % of the range between the bounds, or of the range
+                of the logarithm with ``log``.
             domain: ends of the model's domain, in ``unit``; sensitivities are valid only within it.
             display: unit in reports, if not the customary one.
 
@@ -123,7 +118,7 @@ class Design:
         if has_unit(tolerance) and not str(tolerance).rstrip().endswith("%"):
             tolerance = plain_number(what, in_si(what, tolerance, unit))
         ends = pair_of(f"domain of '{name}'", domain)
-        self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance, False, ends, display))
+        self._variables.append(Variable(name, symbol, at, low, high, unit, log, tolerance, ends, display))
         self._program = None
         return symbol
 
@@ -160,33 +155,27 @@ class Design:
         self._program = None
         return symbol
 
-    def minimise(self, objective: Expression, *, over: Over | None = None) -> None:
+    def minimise(self, objective: Expression) -> None:
         """Set the objective to minimise.
 
         Args:
             objective: scalar expression of the variables. In a sum of parts each should be of order 1.
-            over: ``"worst"`` or ``"mean"``: minimise the largest value, or the mean, within the tolerances of the
-                variables, and keep all requirements throughout that box. The box is represented by a fixed sample: 64
-                designs if each has one run, fewer with several runs or runs with events, and at least 8. The optimum
-                reports how many.
 
         Raises:
-            InputError: the objective is not a scalar CasADi expression or number, or ``over`` is another word.
+            InputError: the objective is not a scalar CasADi expression or number.
 
         Example:
             >>> import plough_opt as po
             >>> design = po.Design()
-            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm", tolerance="5 mm")
-            >>> design.minimise(height**2, over="worst")
-            >>> round(design.solve(search="near").objective, 6)  # 105 mm squared
-            0.011021
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise(height**2)
+            >>> round(design.solve(search="near").objective, 6)
+            0.01
         """
-        if over is not None:
-            check_choice("over", over, ("worst", "mean"), ", within the tolerances, or None")
         expression = _expression("the objective", objective)
         if expression.numel() != 1:
             raise InputError(f"the objective must be one number, not {expression.numel()}: sum or average it")
-        self._objective, self._over, self._program = expression, over, None
+        self._objective, self._program = expression, None
 
     def require(
         self,
@@ -223,9 +212,7 @@ class Design:
         """
         self._refuse_again(name)
         (least, most), unit, display = _read(f"requirement '{name}'", name, unit, (at_least, at_most), display, _SIDES)
-        self._requirements.append(
-            Requirement(name, _expression(f"'{name}'", expression), least, most, unit, False, display)
-        )
+        self._requirements.append(Requirement(name, _expression(f"'{name}'", expression), least, most, unit, display))
         self._program = None
 
     def solve(
@@ -233,7 +220,6 @@ class Design:
         *,
         parameters: Mapping[str, Written] | None = None,
         search: Search = "auto",
-        judge: Judge = "tolerance",
         seed: int = 0,
         compiled: bool = False,
         progress: Progress | None = None,
@@ -259,9 +245,6 @@ class Design:
 
                 The same search gives the same answer, bit for bit, on any number of threads of a machine, except for a
                 search limited by time.
-            judge: criterion by which optima are compared. ``"tolerance"``: the median of the objective within the
-                tolerances of the variables, so that an optimum too narrow for any workshop is not chosen; ``"bare"``:
-                the objective.
             seed: seed of the samples.
             compiled: translate the model into machine code first, with the system's C compiler. That takes some seconds
                 once (the code is kept in the user's cache folder), and each solve then takes a fraction of its time, so
@@ -291,20 +274,15 @@ class Design:
             0.3
         """
         started, limit = time.perf_counter(), TimeLimit(search)
-        check_choice("judge", judge, ("tolerance", "bare"))
         check_switch("compiled", compiled)
         progress, seed = notifier(progress), whole_number("seed", seed)
         declared, options = self.declared, ipopt_options(ipopt)
         values = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
         if self._program is None or (self._program.compiled, self._program.ipopt) != (compiled, options):
-            self._program, self._boxed = Program.of(declared, compiled=compiled, ipopt=options), None
-        request = Request(values, search, judge, seed, progress, started, limit)
+            self._program = Program.of(declared, compiled=compiled, ipopt=options)
+        request = Request(values, search, seed, progress, started, limit)
         with without_notices():
-            if self._over is None:
-                best = solve_program(self._program, request)
-            else:
-                self._boxed = self._boxed or ToleranceBoxSolver(self._program, self._over)
-                best = self._boxed.solve(request)
+            best = solve_program(self._program, request)
         return replace(best, origin=Origin(declarations=declared.plain(values), seed=seed).now())
 
     def nlp(self, *, parameters: Mapping[str, Written] | None = None) -> NonlinearProgram:
@@ -320,8 +298,8 @@ class Design:
             The problem ``{x, f, g, p}`` in scaled variables, with guess, bounds, limits and scales.
 
         Raises:
-            InputError: there is nothing to minimise or to vary, the objective is minimised over tolerances, a name is
-                unknown, a parameter's value is not valid, or the model has no value at the guess.
+            InputError: there is nothing to minimise or to vary, a name is unknown, a parameter's value is not
+                valid, or the model has no value at the guess.
             DomainError: the bounds exceed the model's domain, or a motion is too fast to integrate.
 
         Example:
@@ -336,8 +314,6 @@ class Design:
             >>> round(nlp.variables(solver(**nlp.arguments)["x"])["height"], 6)
             0.3
         """
-        if self._over is not None:
-            raise InputError("nlp() returns the program of one design: call minimise without over first")
         declared = self.declared
         p = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
         return NonlinearProgram.of(self._program or Program.of(declared), p)

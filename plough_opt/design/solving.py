@@ -12,12 +12,9 @@ import numpy as np
 from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import NotConverged
 from plough_opt.design.confirmation import (
-    Judge,
     converged_tightly,
     flat_directions,
     minimum_from,
-    ranked,
-    ranking_criterion,
     with_enough_steps,
 )
 from plough_opt.design.model.ipopt import Point, Vector
@@ -65,7 +62,6 @@ class Request:
     Attributes:
         p: values of all parameters.
         search: extent of the search.
-        judge: criterion by which optima are compared.
         seed: seed of the samples.
         progress: called with what is being done and the fraction done.
         started: time at which the solve began [s].
@@ -75,7 +71,6 @@ class Request:
 
     p: Vector
     search: Search
-    judge: Judge
     seed: int
     progress: Progress
     started: float
@@ -101,7 +96,6 @@ class _Solve:
     def __init__(self, program: Program, request: Request) -> None:
         self._program, self._request, self._p, self._progress = program, request, request.p, request.progress
         self._landscape = Landscape(program, request.p)
-        self._criterion = ranking_criterion(self._landscape, request.judge)
 
     def solved(self, vary: tuple[int, ...]) -> Optimum:
         """Return the best optimum.
@@ -122,7 +116,7 @@ class _Solve:
             self._progress("solving from the guess", 0.0)
             self._program, point = near_optimum(landscape, self._program.start())
             points = [point]
-        order = ranked(landscape, self._request.judge, np.array([point.y for point in points]))
+        order = np.argsort([point.f for point in points], kind="stable")
         program, points, accuracy_warnings = with_enough_steps(
             self._program, p, [points[k] for k in order], self._progress, limit
         )
@@ -133,11 +127,10 @@ class _Solve:
         confirmed = best.status != AS_FOUND
         record = known.search if known else self._record(vary, explored, len(points))
         directions = flat_directions(program, p, best) if confirmed else []
-        rounder = partial(rounded, self._request.judge, self._request.seed, optima[0].objective)
+        rounder = partial(rounded, self._request.seed, optima[0].objective)
         return Optimum(
             **optima[0].__dict__,
             status="unconfirmed" if not confirmed else "not unique" if directions else "solved",
-            over=program.over,
             flat_directions=tuple(_in_units(program, best, d) for d in directions),
             local_optima=optima,
             search=record,
@@ -156,7 +149,7 @@ class _Solve:
         program, landscape, request = self._program, self._landscape, self._request
         start, required = program.start(), bool(program.declared.requirements)
         effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
-        known = landscape, start, vary, self._criterion, effort, self._progress, request.seed
+        known = landscape, start, vary, effort, self._progress, request.seed
         explored = Explorer(*known, limit=request.limit).explore()
         if not len(explored.minima.f) and not len(explored.least_violating.f):
             raise NotConverged(
@@ -204,7 +197,7 @@ class _Solve:
         landscape, p = self._landscape, self._p
         lowest = abs(float(minima.f[np.argmin(minima.merit)]))
         program = self._program.with_objective_scale(max(lowest, least_scale) * landscape.objective_scale)
-        chosen = _basins_that_can_win(self._criterion(minima.points), variables <= FEW_VARIABLES, rounds)
+        chosen = _basins_that_can_win(minima.merit, variables <= FEW_VARIABLES, rounds)
         program = self._program = with_sure_steps(program, p, list(minima.points[chosen]))
         points: list[Point] = []
         for number, k in enumerate(chosen):
@@ -226,11 +219,10 @@ class _Solve:
         """
         program, landscape, request = self._program, self._landscape, self._request
         variables = program.declared.variables
-        own = [k for k, v in enumerate(variables) if not v.auxiliary]
         sample = explored.sample if explored else Evaluations.none(len(variables))
         return SearchRecord(
             asked=str(request.search),
-            variables=tuple(variables[k].name for k in vary if k in own),
+            variables=tuple(variables[k].name for k in vary),
             designs=landscape.designs_tried if explored else 0,
             one_by_one=not landscape.vectorised,
             basins=len(explored.minima.f) if explored else 1,
@@ -239,7 +231,7 @@ class _Solve:
             reached=explored.reached if explored else 0,
             seed=request.seed,
             seconds=time.perf_counter() - request.started,
-            values=program.values_of(sample.points)[:, own],
+            values=program.values_of(sample.points),
             objective=sample.f * landscape.objective_scale,
             violation=sample.violation,
             slow="" if program.population.compiled or not explored else compiler_problem(),

@@ -28,8 +28,7 @@ from plough_opt.soil.soil import Soil, named_soil
 from plough_opt.soil.strength import Spectrum
 
 if TYPE_CHECKING:
-    from plough_opt.design import Design, Optimum, Over, Progress
-    from plough_opt.design.confirmation import Judge
+    from plough_opt.design import Design, Optimum, Progress
     from plough_opt.design.search.effort import Search
     from plough_opt.studies.tradeoff import TradeOff
 
@@ -100,7 +99,6 @@ class Problem:
     variables: Mapping[str, FileVariable]
     displays: Mapping[str, Display]
     notes: tuple[str, ...]
-    over: Over | None = None
     readings: str = ""
     spectrum: Spectrum | None = None
     course: SpeedProfile | None = None
@@ -312,7 +310,7 @@ class Problem:
         if not self.table.minimise:
             raise InputError(f"{self.name}: nothing to minimise: add a table [minimise]")
         design, run = self._required(parameters)
-        design.minimise(self.objective(run), over=self.over)
+        design.minimise(self.objective(run))
         return design, run
 
     def objective(self, run: Run) -> Expression:
@@ -458,7 +456,6 @@ class Problem:
         *,
         parameters: bool = False,
         search: Search = "auto",
-        judge: Judge = "tolerance",
         seed: int = 0,
     ) -> tuple[Optimum, Run]:
         """Return the optimum and its numeric run.
@@ -473,7 +470,7 @@ class Problem:
             ['share.wedge_angle', 'share.height', 'scene.stiffness']
         """
         design, run = self.design(parameters=parameters)
-        best = design.solve(search=search, judge=judge, seed=seed, progress=progress)
+        best = design.solve(search=search, seed=seed, progress=progress)
         origin = self.made(seed)
         found = replace(best(run), origin=origin)
         best = replace(best, run=found, origin=origin)

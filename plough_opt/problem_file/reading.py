@@ -8,11 +8,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
-import typing
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pydantic import ValidationError
 
@@ -40,9 +39,6 @@ from plough_opt.problem_file.schema import (
 from plough_opt.problem_file.source import TOO_DEEP, Keys, Source, entry_at, nested_line, unreadable
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
 from plough_opt.soil.soil import STANDARD_ATMOSPHERE, Soil, compression_test, named_soil
-
-if TYPE_CHECKING:
-    from plough_opt.design import Over
 
 # Length of a change in characters: an inline table must fit, and no sensible change is longer.
 _MAX_LENGTH: Final = 2_000
@@ -80,7 +76,6 @@ def read_source(source: Source, folder: Path, notes: tuple[str, ...] = (), overr
     """Return the problem of a file; ``folder`` is the one that paths of data files start from."""
     join_dotted_variables(source.data)
     join_dotted(source.data)
-    over = _over(source)
     readings = average_readings(source, folder)
     spectrum, course = spectrum_of_file(source, folder), course_of_file(source)
     try:
@@ -89,7 +84,7 @@ def read_source(source: Source, folder: Path, notes: tuple[str, ...] = (), overr
         source.note_schema(error, valid_keys)
     source.raise_noted()
     problem = dataclasses.replace(
-        _checked(source, table, notes), over=over, readings=readings, spectrum=spectrum, course=course,
+        _checked(source, table, notes), readings=readings, spectrum=spectrum, course=course,
         text=source.original, data=source.read_files, overrides=overrides,
     )  # fmt: skip
     source.raise_noted()
@@ -124,17 +119,6 @@ def check_changed(problem: Problem) -> None:
     check_complete(source, problem.table, {*problem.fixed, *problem.variables})
     source.raise_noted()
     check_values(source, problem)
-
-
-def _over(source: Source) -> Over | None:
-    """Remove the key "over" from [minimise], whose other keys are results, and return its value."""
-    table, place = source.data.get("minimise"), ("minimise", "over")
-    written = table.pop("over", None) if isinstance(table, dict) else None
-    if written not in (None, "worst", "mean"):
-        source.note(place, f'over = {short(repr(written))} must be "worst" or "mean" (within the tolerances)')
-    elif written is not None and source.data.get("uncertain") is not None:
-        source.note(place, "'over' is for tolerances in one soil: remove it, or the table [uncertain]")
-    return typing.cast("Over | None", written)
 
 
 def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Problem:

@@ -420,7 +420,6 @@ def file_schema() -> dict[str, Any]:
     definitions, tables = schema["$defs"], schema["properties"]
     tables["variables"] = _of(IN_FILES, "VariableTable", {name: EVERY[name].meaning for name in IN_FILES})
     tables["minimise"] = _of(single, "TermTable")
-    tables["minimise"]["properties"]["over"] = {"enum": ["worst", "mean"]}
     tables["require"] = _of(MEASURES, "LimitTable")
     definitions["TradeOffTable"]["properties"] |= _of(single, "GoalTable")["properties"]
     tables["uncertain"] = {"type": "object"}

@@ -238,7 +238,7 @@ def _question(problem: Problem, axes: Mapping[str, Axis], what: What, how: str) 
     if what == "optimise":
         chosen = problem.table.model_dump(include={"variables", "minimise", "require"})
         chosen["variables"] = {name: one for name, one in chosen["variables"].items() if name not in axes}
-        found |= {**_flat(chosen), "minimise.over": problem.over}
+        found |= _flat(chosen)
     texts = {name: str(value) for name, value in found.items() if name not in axes and value is not None}
     files = {f"content of {name}": f"digest {digest_of(text)}" for name, text in problem.data.items()}
     return {**texts, **files, "laws, effects, measures and methods": digest_of((LAWS, OWN_EFFECTS, MEASURES, METHODS))}

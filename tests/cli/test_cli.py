@@ -156,7 +156,6 @@ USAGE = [
     (["check"], "usage: plough-opt"),
     (["simulate", "a.toml", "-q", "-v"], "not allowed"),
     (["optimis"], "'optimis' is unknown: did you mean 'optimise'"),
-    (["optimise", "a.toml", "--over", "worse"], "'worse' is unknown: did you mean 'worst'"),
 ]
 
 
@@ -379,7 +378,7 @@ def started(*arguments):
 HELP = [
     (["--help"], "\n    calibrate "), (["--version"], f"plough-opt {po.__version__}\n"),
     (["check", "--help"], '--set KEY="VALUE"'), (["calibrate", "--help"], "30 %"),
-    (["optimise", "--help"], "--judge"), (["sweep", "--help"], "--scheduler"), (["export", "--help"], "FMU"),
+    (["optimise", "--help"], "--search"), (["sweep", "--help"], "--scheduler"), (["export", "--help"], "FMU"),
 ]  # fmt: skip
 
 

@@ -510,17 +510,6 @@ def test_a_flat_variable_at_its_bound_is_named():
     assert "along y" in str(best)
 
 
-def test_the_variable_that_bounds_the_worst_objective_is_hidden():
-    d, x = design(x=(0.3, 0.0, 1.0, "", False, 0.05))
-    worst = d.variable("worst objective", guess=0.3, lower=0.0, upper=1.0)
-    d.minimise((x - 0.25) ** 2 + (worst - 0.5) ** 2 + 1.0, over="worst")
-    best = d.solve()
-    assert best.search.variables == ("x", "worst objective")
-    assert best.variables == pytest.approx({"x": 0.25, "worst objective": 0.5}, abs=1e-2)
-    with pytest.raises(po.InputError, match="valid names: auto, local, near, thorough, worst objective, x"):
-        d.solve(search="z")
-
-
 # Objectives with a needle or without one, and the half width of the tolerance of x.
 NEEDLES = [
     (lambda x: (x - 0.25) ** 2, 0.003, False),
@@ -563,13 +552,6 @@ def test_the_program_is_part_of_a_larger_one():
         nlp.variables([0.5])
 
 
-def test_an_objective_over_tolerances_has_no_program():
-    d, x = design(x=(0.5, 0.0, 1.0))
-    d.minimise(x**2, over="worst")
-    with pytest.raises(po.InputError, match="without over"):
-        d.nlp()
-
-
 REFUSED = {
     "tol": 1e-3,
     "ipopt.constr_viol_tol": 1e-3,
@@ -594,11 +576,10 @@ def test_options_that_break_a_promise_are_refused_by_name(name):
         d.solve(ipopt={name: REFUSED[name]})
 
 
-@pytest.mark.parametrize("over", [None, "worst"])
-def test_options_reach_ipopt(over, capfd):
+def test_options_reach_ipopt(capfd):
     d, x, y = design(x=(-1.2, -2.0, 2.0), y=(1.0, -2.0, 2.0))
     # The kink keeps quadratic programs from the last digits, so that IPOPT is asked.
-    d.minimise((1.0 - x) ** 2 + 10.0 * (y - x**2) ** 2 + ca.fabs(x - 0.5), over=over)
+    d.minimise((1.0 - x) ** 2 + 10.0 * (y - x**2) ** 2 + ca.fabs(x - 0.5))
     quiet = d.solve(search="near")
     assert "Number of Iterations" not in capfd.readouterr().out
     told = d.solve(search="near", ipopt={"print_level": 5, "max_iter": 20})

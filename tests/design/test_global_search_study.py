@@ -104,7 +104,7 @@ def _cases(numbers, quick, kind=()):
 @pytest.mark.parametrize(("number", "seed"), _cases(PROBLEMS, QUICK))
 def test_no_combination_of_the_catalogue_is_better(number, seed):
     problem, truth, offered = PROBLEMS[number]
-    best = as_design(problem)[0].solve(search="near", judge="bare", seed=seed)
+    best = as_design(problem)[0].solve(search="near", seed=seed)
     found = best.rounded(offered)
     y = problem.positions([[found.variables[v.name] for v in problem.variables]])
     seen = evaluate(problem, y)
@@ -251,7 +251,7 @@ def test_the_searched_variables_may_be_named(seed):
 
 @pytest.mark.slow
 def test_a_needle_is_recognised():
-    best = as_design(_with_guess(RIPPLED, *AT_NEEDLE))[0].solve(search="near", judge="bare")
+    best = as_design(_with_guess(RIPPLED, *AT_NEEDLE))[0].solve(search="near")
     # The guess itself has 433.584 N, by the independent simulator.
     assert best.objective <= 433.5841
     assert best.spread.needle

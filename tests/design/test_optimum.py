@@ -227,7 +227,7 @@ def test_an_optimum_says_the_same_whatever_happens_later():
     first = ask(search="near")
     ask(search=16, seed=3, parameters={"tow speed": 2.0})
     first.rounded(stiffness=[5e4, 9e4], height=[0.23, 0.25])
-    ask(search="stiffness", judge="bare", parameters={"tow speed": 1.0}).every_sensitivity()
+    ask(search="stiffness", parameters={"tow speed": 1.0}).every_sensitivity()
     print(first)
     d.parameter("p", 1.0)
     stiffness = d.declared.variables[0].symbol

@@ -71,7 +71,7 @@ def test_ripples_over_a_small_feasible_region_are_searched_in_every_way(seed):
     # A ball that contains one design in 5000.
     d.require("ball", ca.sumsqr(offsets), at_most=0.08**2)
     # A higher ripple is found without boxes around the best, translations between ripples, or the scan for dips.
-    assert d.solve(judge="bare", seed=seed).objective == pytest.approx(1.0, rel=1e-6)
+    assert d.solve(seed=seed).objective == pytest.approx(1.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(("search", "most", "basin"), [("near", 1.0, 2), ("local", 1.0, 2), ("near", 0.7, 1)])
@@ -555,9 +555,9 @@ def test_optimum_of_the_defined_part_or_an_honest_status(problem):
     expected = truth(problem)
     if expected is None:
         with pytest.raises(po.PloughError, match=r"a law with holes|distance beyond"):
-            d.solve(judge="bare")
+            d.solve()
         return
-    best = d.solve(judge="bare")
+    best = d.solve()
     at = best.variables["x"], best.variables["y"]
     # No answer lies outside of the domain, solved or not.
     assert po.simulate(scene(*at), 1.0).mean_draft / 1e3 == pytest.approx(best.objective, rel=1e-9)

@@ -467,7 +467,7 @@ def by_design(law, row):
     near = {name: (v, v - 1e-9 * abs(v), v + 1e-9 * abs(v), unit) for (name, (unit, *_)), v in sizes}
     d, *symbols = design(**near)
     d.minimise(po.simulate(drawn_scene(law, *symbols, motion=False), 0.1).mean_draft / 1e3)
-    return 1e3 * d.solve(search="near", judge="bare").objective
+    return 1e3 * d.solve(search="near").objective
 
 
 # The graph of the elastic medium takes seconds to build.
@@ -520,7 +520,7 @@ def test_an_optimum_at_the_edge_of_a_domain_is_exact_and_names_it(motion):
 
     d, wedge, chisel = design(wedge=("30 deg", "10 deg", "50 deg"), chisel=("35 deg", "5 deg", "60 deg"))
     d.minimise(po.simulate(of(wedge, chisel), 0.2).mean_draft / 1e3)
-    best = d.solve(judge="bare")
+    best = d.solve()
     assert best.status == "solved"
     assert best.active == ("the universal earthmoving equation: depth over width",)
     again = po.simulate(of(best.variables["wedge"], best.variables["chisel"]), 0.2)

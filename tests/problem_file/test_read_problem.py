@@ -275,8 +275,6 @@ def test_steps_and_catalogues_go_together(read, cheapest, tmp_path):
 def test_commands_print_and_save_it(tmp_path):
     path = tmp_path / "share.toml"
     path.write_text(offering(', step = "2 cm"'), encoding="utf-8")
-    out = printed("optimise", path, "--over", "worst")
-    assert "corners" in out
     saved = json.loads(printed("optimise", path, "--json"))
     height = saved["bought"]["variables"]["share.height"]
     assert cells(printed("optimise", path).partition("best from the catalogue")[2], "share.height")[1:] == [

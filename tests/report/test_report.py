@@ -155,12 +155,6 @@ def test_an_orbit_under_another_law_whose_optimum_is_not_unique(tmp_path):
     assert place == pytest.approx(100.0 * (height - 0.1) / 0.4, abs=0.0175)  # 0.1 to 0.5 m; both are rounded
 
 
-def test_an_objective_over_the_tolerances_is_named():
-    over = po.read_problem(SUBSOILER, (*FIXED, "effects={motion=false}", "minimise.over=mean", "require={}"))
-    asked = Page(page(reported(over, lambda *_: None))).text["question"]
-    assert "The objective is the mean of 64 designs within the tolerances, all of which meet the requirements." in asked
-
-
 def test_a_limit_that_is_just_met_is_named(solved):
     found = dataclasses.replace(solved[0].every_sensitivity()[0], touching=("half_angle",))
     report = Report(po.read_problem(SUBSOILER, FIXED), solved[1], solved[0], (found,))

@@ -123,9 +123,7 @@ class Program:
         owner: for each row of the requirements, the number of its requirement.
         compiled: whether to translate the program into machine code.
         many_slopes: as given to `Program.of`.
-        bare: as given to `Program.of`.
         ipopt: as given to `Program.of`.
-        over: as given to `Program.of`.
         objective_scale: divisor of the objective.
         scales: divisor of each requirement.
         low: scaled lower limits of the rows.
@@ -140,8 +138,6 @@ class Program:
     owner: list[int]
     compiled: bool
     many_slopes: bool
-    bare: Program | None
-    over: str
     _y: ca.MX
     _p: ca.MX
     ipopt: dict[str, Any] = field(default_factory=dict)
@@ -162,8 +158,6 @@ class Program:
         *,
         compiled: bool = False,
         many_slopes: bool = False,
-        bare: Program | None = None,
-        over: str = "",
         ipopt: Mapping[str, Any] | None = None,
     ) -> Program:
         """Split the expressions around their runs, and add the limits of the theories that they use as requirements.
@@ -172,8 +166,6 @@ class Program:
             declared: the declarations.
             compiled: whether to translate the program into machine code.
             many_slopes: whether enough slopes will be taken for machine code to pay even for single runs.
-            bare: if this program covers the tolerance box around a design, the program of the design alone.
-            over: a sentence on the objective over that box, for reports.
             ipopt: options of IPOPT that the user gave, with the prefix of CasADi.
 
         Raises:
@@ -192,7 +184,7 @@ class Program:
             )
         owner = [k for k, r in enumerate(declared.requirements) for _ in range(r.expression.numel())]
         y, p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
-        return cls(declared, own, exact, owner, compiled, many_slopes, bare, over, y, p, dict(ipopt or {}))
+        return cls(declared, own, exact, owner, compiled, many_slopes, y, p, dict(ipopt or {}))
 
     def start(self) -> Vector:
         """Return the guess, scaled."""
@@ -214,13 +206,9 @@ class Program:
         """Return objective and requirements by tight integration, and again by the method that checks it."""
         numbers = [*self.values(y), *p]
         at = y.tobytes(), p.tobytes()
-        return cached(self._caches.exact_values, at, lambda: (self._exact(numbers), self._exact(numbers, check=True)))
-
-    def _exact(self, numbers: list[float], *, check: bool = False) -> list[Vector]:
-        """Return objective and requirements; where a variable bounds the worst objectives, the worst itself."""
-        found = self.exact.values(numbers, check=check)
-        excess = [np.max(x) for r, x in zip(self.declared.requirements, found[1:], strict=True) if r.auxiliary]
-        return [found[0] + sum(excess), *found[1:]]
+        return cached(
+            self._caches.exact_values, at, lambda: (self.exact.values(numbers), self.exact.values(numbers, check=True))
+        )
 
     @cached_property
     def first_rows(self) -> list[int]:
@@ -263,9 +251,7 @@ class Program:
         """
         key, cache = p.tobytes(), self._caches.values_at_guess
         if key not in cache:
-            # Designs in a tolerance box lie between the bounds as well.
-            own = self.bare or self
-            check_bounds(own.declared, own.exact, p)
+            check_bounds(self.declared, self.exact, p)
         try:
             implied = self.declared.requirements[len(self.own_requirements) :]
             values = cached(cache, key, lambda: values_at_guess(self.declared, self.exact, implied, p))

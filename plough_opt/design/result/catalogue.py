@@ -13,7 +13,7 @@ import numpy as np
 from plough_opt.core.checks import array_of, plain_number, shown
 from plough_opt.core.errors import InfeasibleDesign, InputError, nearest
 from plough_opt.core.units import has_unit, in_si, in_words
-from plough_opt.design.confirmation import Judge, ranking_criterion, spread
+from plough_opt.design.confirmation import spread
 from plough_opt.design.declarations import Variable, values_in_words
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.program import Program
@@ -330,7 +330,7 @@ def allowed(variables: Sequence[Variable], catalogues: Mapping[str, Catalogue]) 
 
 def _number_of(variables: Sequence[Variable], name: str) -> int:
     """Return the number of a variable by its name or by its keyword, such as ``wedge_angle`` for "wedge angle"."""
-    names = [v.name for v in variables if not v.auxiliary]
+    names = [v.name for v in variables]
     if name in names:
         return names.index(name)
     short = ["".join(c if c.isalnum() else "_" for c in own.rpartition(".")[2]) for own in names]
@@ -379,11 +379,10 @@ class _Combinations:
 _NOT_WORSE_THAN_ROUGH = 1e-5
 
 
-def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogues: Mapping[str, Catalogue]) -> Rounded:
+def rounded(seed: int, unrounded: float, solved: Solved, catalogues: Mapping[str, Catalogue]) -> Rounded:
     """Return the best design with some variables in catalogue values: see `Optimum.rounded`.
 
     Args:
-        judge: what the combinations are ranked by.
         seed: seed of the samples.
         unrounded: the optimum's objective.
         solved: the design's program with its optimum.
@@ -415,8 +414,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     screened = count if every else len(starts)
     if not reached:
         raise _none_feasible(program, failed, screened)
-    judged = ranking_criterion(landscape, judge)(np.array([point.y for _, point in reached]))
-    order = sorted(range(len(reached)), key=lambda k: (round(float(judged[k]), 9), reached[k][1].f))
+    order = sorted(range(len(reached)), key=lambda k: reached[k][1].f)
     choice, point = reached[order[0]]
     # A rounded variable is held by its catalogue, not by a bound, so its bound must not count as active.
     multipliers = point.lam_y.copy()
@@ -426,7 +424,6 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     return Rounded(
         **local.__dict__,
         local_optima=(local,),
-        over=program.over,
         status="unconfirmed" if point.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
         warnings=(
@@ -490,7 +487,7 @@ def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tup
     try:
         point = from_least_violation(program, p, start, fixed)
     except InfeasibleDesign as error:
-        named = {r.name for r in program.declared.requirements if not r.auxiliary}
+        named = {r.name for r in program.declared.requirements}
         return None, {name: short for name, short in error.conflicts.items() if name in named}
     return (point if point.solved else None), {}
 

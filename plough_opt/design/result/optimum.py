@@ -308,7 +308,6 @@ class Optimum(LocalOptimum):
     inside them integrated tightly; ``best(run)`` simulates the scene at the optimum.
 
     Attributes:
-        over: if the objective is over the tolerance box (see `Design.minimise`), a sentence that says so; else "".
         status: "solved"; "not unique" if ``flat_directions`` lead to equally good designs; or "unconfirmed" if
             derivatives do not confirm that the best design found is an optimum, as on a kink (see ``warnings``).
         flat_directions: directions, as changes of the variables, along which objective and requirements do not change.
@@ -332,7 +331,6 @@ class Optimum(LocalOptimum):
         'solved'
     """
 
-    over: str = ""
     status: str = "solved"
     flat_directions: tuple[dict[str, float], ...] = ()
     local_optima: tuple[LocalOptimum, ...] = ()
@@ -371,8 +369,6 @@ class Optimum(LocalOptimum):
         parts: list[Part] = [*self.design_tables()]
         if self.run is not None:
             parts.insert(1, self.run.response())
-        if self.over:
-            parts.append(f"Within the tolerances: {self.over}.")
         if self.bought is not None:
             parts += self.bought.comparison(self)
         if len(self.local_optima) > 1:
@@ -395,9 +391,9 @@ class Optimum(LocalOptimum):
         """Estimated rise of the objective if all designs within the tolerances must meet all requirements.
 
         It is the difference to the worst objective in the tolerance box, plus the multiplier of each requirement times
-        the margin that the requirement loses in the box. None without a spread, or if ``over`` keeps them already.
+        the margin that the requirement loses in the box. None without a spread.
         """
-        if self.spread is None or self.over:
+        if self.spread is None:
             return None
         lost = ((one.multiplier, one.margin - self.spread.margins[one.name]) for one in self.limits
                 if one.kind == "requirement")  # fmt: skip
@@ -422,7 +418,7 @@ class Optimum(LocalOptimum):
         size = f"{100.0 * cost / abs(self.objective):.2g} %" if self.objective else f"{cost:.2g}"
         return (
             f"only {100.0 * self.spread.kept:.0f} % of the designs within the tolerances meet all requirements; to keep"
-            f' them in all designs costs about {size}{" or" * more} more of the objective: over = "worst"'
+            f" them in all designs costs about {size}{' or' * more} more of the objective: tighten the limits in question"
         )
 
     def optima_table(self, title: str) -> Grid:
@@ -588,7 +584,7 @@ class Optimum(LocalOptimum):
         if isinstance(self, Rounded):
             raise InputError("this optimum is rounded already")
         offered = {**mapping_of("catalogues", catalogues, "a variable's name -> its values"), **more}
-        solved = self._with_design().whole
+        solved = self._with_design()
         assert solved.rounder is not None, "only rounded optima have none"
         found: Rounded = solved.rounder(solved, offered)
         return found
@@ -619,7 +615,7 @@ class Optimum(LocalOptimum):
         if self.flat_directions:
             along = "; ".join(", ".join(name for name, change in d.items() if change) for d in self.flat_directions)
             raise InputError(f"the optimum is not unique and so has no sensitivities: fix one of {along}")
-        return self._with_design().whole
+        return self._with_design()
 
     def _with_design(self) -> Solved:
         if self.solved is None:

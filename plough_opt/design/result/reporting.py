@@ -87,11 +87,9 @@ def _local_optimum(program: Program, landscape: Landscape, point: Point, name: s
 
 
 def requirements_at(program: Program, point: Point, found: Sequence[Vector]) -> list[Limit]:
-    """Return the requirements at a point, from their tightly integrated values; those of the program are left out."""
+    """Return the requirements at a point, from their tightly integrated values."""
     limits, owner, multipliers = [], np.array(program.owner), np.abs(point.lam_g)
     for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
-        if r.auxiliary:
-            continue
         numbers, own, scale = value.ravel(), multipliers[owner == k], program.scales[k]
         margins = r.margins(numbers)
         worst = int(np.argmin(margins))
@@ -104,12 +102,10 @@ def requirements_at(program: Program, point: Point, found: Sequence[Vector]) -> 
 
 
 def bounds_at(program: Program, point: Point, values: Vector) -> list[Limit]:
-    """Return the bounds at a point, where the variables have certain values; those of the program are left out."""
+    """Return the bounds at a point, where the variables have certain values."""
     limits = []
     sizes = np.abs(point.lam_y).tolist()
     for v, x, y, size in zip(program.declared.variables, values.tolist(), point.y, sizes, strict=True):
-        if v.auxiliary:
-            continue
         text = f"{v.shown.text(v.lower)} to {v.shown.text(v.upper)}"
         margin, multiplier = min(x - v.lower, v.upper - x), float(size * program.objective_scale / v.slope(float(y)))
         active = decides(float(min(y, 1.0 - y)), size)

@@ -141,7 +141,6 @@ class Solved:
         point: Point,
         fixed: Mapping[int, float] = MappingProxyType({}),
         rounder: Callable[[Solved, Mapping[str, Any]], Any] | None = None,
-        whole: Callable[[], Solved] | None = None,
     ) -> None:
         """Store an optimum of a built program.
 
@@ -151,9 +150,8 @@ class Solved:
             point: the optimum.
             fixed: number -> value of the variables that are held.
             rounder: (this object, catalogues) -> the optimum with some variables rounded.
-            whole: returns the same optimum with every limit that may begin to decide, if the program leaves some out.
         """
-        self.program, self.p, self.point, self.rounder, self._solve_whole = program, p, point, rounder, whole
+        self.program, self.p, self.point, self.rounder = program, p, point, rounder
         self._fixed = tuple(fixed)
         self.values = program.values(point.y)
         self.values[list(self._fixed)] = list(fixed.values())
@@ -165,11 +163,6 @@ class Solved:
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
         """Return None in place of the design's functions, which cannot be pickled."""
         return type(None), ()
-
-    @property
-    def whole(self) -> Solved:
-        """The same optimum with every limit that may begin to decide: for sensitivities and rounded variables."""
-        return self if self._solve_whole is None else self._solve_whole()
 
     def evaluate(self, expression: ca.MX) -> Vector:
         """Return the value of an expression of the design's symbols at the optimum, its runs integrated tightly.
@@ -609,18 +602,16 @@ def sides_of(program: Program, point: Point, fixed: Sequence[int]) -> list[Side]
     declared, own = program.declared, len(program.own_requirements)
     for row, k in enumerate(program.owner):
         r, scale = declared.requirements[k], program.scales[k]
-        hidden = r.auxiliary or k >= own
+        hidden = k >= own
         if r.at_least is not None and r.at_least == r.at_most:
             bound = r.at_least / scale
             found.append(Side(r.name, r.name, r.at_least, r.unit, row, 1.0, bound, 1.0 / scale, True, hidden=hidden))
             continue
         for end, sign, limit in (("at_least", 1.0, r.at_least), ("at_most", -1.0, r.at_most)):
             if limit is not None:
-                name, bound = r.name.strip() if r.auxiliary else f"{r.name} {end}", sign * limit / scale
+                name, bound = f"{r.name} {end}", sign * limit / scale
                 found.append(Side(name, r.name, limit, r.unit, row, sign, bound, sign / scale, hidden=hidden))
     for k, v in enumerate(declared.variables):
-        if v.auxiliary:  # The solve extends its bounds until none of them decides.
-            continue
         row, y = len(program.owner) + k, float(point.y[k])
         per_unit, log = 1.0 / v.slope(y), math.log(v.upper / v.lower) if v.log else 0.0
         if k in fixed:

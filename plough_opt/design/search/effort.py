@@ -185,7 +185,7 @@ def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
     Raises:
         InputError: `search` is neither valid nor the name of a variable.
     """
-    names = [v.name for v in variables if not v.auxiliary]
+    names = [v.name for v in variables]
     every = tuple(range(len(variables)))
     number = number_of(search)
     if number is not None:

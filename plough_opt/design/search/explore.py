@@ -108,7 +108,6 @@ class Explorer:
         landscape: the landscape that is searched.
         start: the scaled guess. Variables that are not searched stay there until the descents.
         variables: numbers of the variables that are searched.
-        criterion: scaled designs, a row each -> the values by which basins are ranked, in units of the merit.
         effort: how thoroughly to search.
         progress: called with what is being done and the fraction of it done.
         seed: of the samples.
@@ -120,7 +119,6 @@ class Explorer:
     landscape: Landscape
     start: Vector
     variables: Sequence[int]
-    criterion: Callable[[Vector], Vector]
     effort: Effort
     progress: Progress = silent
     seed: int = 0
@@ -192,7 +190,6 @@ class Explorer:
         shortfall = Shortfall(self.landscape)
         search = replace(
             self,
-            criterion=lambda y: shortfall(y).merit,
             effort=replace(self.effort, dense=False),  # Every descent may come across feasible designs.
             stop=lambda: shortfall.feasible_seen >= self.effort.population,
             shortfall=shortfall,
@@ -411,7 +408,7 @@ class Explorer:
         basin: list[int | None] = [None] * len(ends.f)
         valid = np.flatnonzero(ends.feasible if np.any(ends.feasible) else np.isfinite(ends.merit))
         if len(ends.f) > len(self._ranks):
-            self._ranks += self.criterion(ends.points[len(self._ranks) :]).tolist()
+            self._ranks += ends.merit[len(self._ranks) :].tolist()
         ranks, merit = np.array(self._ranks), ends.merit
         minima: list[int] = []
         lowest: list[int] = []

@@ -128,7 +128,7 @@ def _far_feasible(landscape: Landscape, start: Vector) -> Evaluations:
         return nearest_feasible(landscape, start, others[np.argmin(np.sum((others - start) ** 2, axis=1))])
     every = tuple(range(len(start)))
     effort = effort_of("auto", len(start), landscape.program.population.runs, landscape.vectorised)
-    explored = Explorer(landscape, start, every, lambda points: landscape(points).merit, effort).explore()
+    explored = Explorer(landscape, start, every, effort).explore()
     if len(explored.minima.f) and explored.minima.feasible[0]:
         return explored.minima.select([0])
     return landscape(feasible_from(landscape, explored, start)[None])
@@ -269,20 +269,17 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
         for r, s, scale in zip(declared.requirements, short, program.scales, strict=True)
         if s > _LeastViolation.violated
     }
-    added = {r.name for r in declared.requirements if r.auxiliary}
-    # A requirement that the program added is named only if no other fails.
-    conflicts = {name: fails for name, fails in conflicts.items() if name not in added} or conflicts
     multipliers = np.zeros(len(declared.requirements))
     np.maximum.at(multipliers, program.owner, np.abs(point.lam_g))
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
         for r, largest in zip(declared.requirements, multipliers, strict=True)
-        if largest > _LeastViolation.holds and not r.auxiliary and r.name not in conflicts
+        if largest > _LeastViolation.holds and r.name not in conflicts
     ]
     for variable, y, multiplier in zip(declared.variables, point.y, point.lam_y, strict=True):
         # A box around the point may have held it instead.
         at_bound = min(y, 1.0 - y) < _LeastViolation.near_bound
-        if abs(multiplier) > _LeastViolation.holds and at_bound and not variable.auxiliary:
+        if abs(multiplier) > _LeastViolation.holds and at_bound:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import NotConverged
 from plough_opt.core.plain_data import Array
-from plough_opt.design.confirmation import boxes, minimum_from, ranking_criterion
+from plough_opt.design.confirmation import boxes, minimum_from
 from plough_opt.design.model.ipopt import REMEDIES, Point
 from plough_opt.design.search.effort import Search, effort_of, searched
 from plough_opt.design.search.explore import Explorer, Progress
@@ -179,8 +179,7 @@ class Archive:
             NotConverged: no design has a value.
         """
         landscape = FrontLandscape(self, p)
-        judged = ranking_criterion(landscape, "tolerance")
-        explorer = Explorer(landscape, self._start, self.vary, judged, self._effort, self.progress, self.seed)
+        explorer = Explorer(landscape, self._start, self.vary, self._effort, self.progress, self.seed)
         explored = explorer.explore()
         if not np.any(np.isfinite(explored.sample.merit)):
             none = f"none of {landscape.designs_tried} designs between the bounds has a value"
@@ -188,7 +187,7 @@ class Archive:
         if not np.any(explored.minima.feasible):
             self.progress("looking for a design that meets the requirements", 0.0)
             return descend(landscape, feasible_from(landscape, explored, self._start))
-        values = judged(explored.minima.points)
+        values = explored.minima.merit
         limit = values.min() + _FOLLOWED * abs(values.min())
         best_first = np.argsort(values, kind="stable")
         return explored.minima.select([k for k in best_first if values[k] <= limit][:_MOST_BASINS])

@@ -418,7 +418,7 @@ class Optimum(LocalOptimum):
         size = f"{100.0 * cost / abs(self.objective):.2g} %" if self.objective else f"{cost:.2g}"
         return (
             f"only {100.0 * self.spread.kept:.0f} % of the designs within the tolerances meet all requirements; to keep"
-            f" them in all designs costs about {size}{' or' * more} more of the objective: tighten the limits in question"
+            f" them in all designs costs about {size}{' or' * more} more of the objective: tighten these limits"
         )
 
     def optima_table(self, title: str) -> Grid:

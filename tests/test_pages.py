@@ -91,8 +91,8 @@ def short_search(line):
 
 
 def tolerances_cost_something(names):
-    best, worst = names["best"], names["worst"]
-    return worst.spread.kept == 1.0 and worst.objective >= best.objective
+    best, made = names["best"], names["made"]
+    return made.spread.kept > 0.95 and made.objective >= best.objective
 
 
 PAGES = {

@@ -260,7 +260,7 @@ def _export(verb: _Parser) -> None:
 def _explore(verb: _Parser) -> None:
     where = "page to write, which is then not opened (default: one in the user's cache folder, which is opened)"
     verb.add_argument("-o", "--output", metavar="FILE.html", help=where)
-    verb.shared("over", "seed", json="print the path of the page and its provenance as JSON, and open nothing")
+    verb.shared("seed", json="print the path of the page and its provenance as JSON, and open nothing")
 
 
 def _accuracy(verb: _Parser) -> None:

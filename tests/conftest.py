@@ -16,6 +16,7 @@ from helpers.scenes import R1_SOIL
 
 import plough_opt as po
 from plough_opt.core import process as heartbeat
+from plough_opt.motion.solvers.compiled_steps import compiled_steps
 
 HERE = Path(__file__).parent
 
@@ -82,9 +83,12 @@ def inline():
 
 @pytest.fixture
 def no_compiler(monkeypatch, tmp_path):
-    """Hide the C compilers."""
+    """Hide the C compilers, and what they compiled before."""
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
+    compiled_steps.cache_clear()
+    yield
+    compiled_steps.cache_clear()
 
 
 @pytest.fixture

@@ -67,7 +67,7 @@ def quiet() -> bool:
 
 
 # Options that name a file to be written.
-_OUTPUT_FILES = ("plot", "csv", "output", "description")
+_OUTPUT_FILES = ("plot", "csv", "npz", "output", "description", "store")
 
 
 def read(options: argparse.Namespace) -> Problem:

@@ -21,13 +21,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from string import Template
 from typing import Any, Final
 
 import casadi as ca
 
 from plough_opt.core.errors import InputError, short
-from plough_opt.core.files import text_of
 
 Variant = tuple[tuple[str, ...], tuple[str, ...]]
 """Compiler flags and libraries of one attempt to compile."""
@@ -218,9 +216,6 @@ def _identity(command: tuple[str, ...]) -> str:
     return "\n".join(texts)
 
 
-Phase = tuple[ca.Function, int]
-"""A phase of a motion: (Function of SX for one step, position of the phase's end time among its parameters)."""
-
 # CasADi's operation -> its sign or its text in C and in Python.
 BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
@@ -248,17 +243,15 @@ LANE_BY_LANE = _named("floor ceil sqrt")
 _OWN = {ca.OP_FABS: "v_fabs", ca.OP_SIGN: "v_sign", ca.OP_FMIN: "v_min", ca.OP_FMAX: "v_max"}
 
 
-def variants(*flags: str, scheduling: tuple[str, ...] = ()) -> tuple[Variant, ...]:
+def variants(*flags: str) -> tuple[Variant, ...]:
     """Return how to compile: with the vector functions of the GNU C library, without them, and for any processor.
 
     Args:
         flags: flags of every attempt, besides those that let floating-point operations be reordered.
-        scheduling: flags of a first attempt, which not every compiler has.
     """
     flags = (*flags, "-ffp-contract=fast", "-fno-signed-zeros", "-fno-trapping-math", "-fno-math-errno")
     own, vector = (*flags, "-march=native"), (*flags, "-march=native", "-DVECTOR_LIBRARY")
-    first = [(*vector, *scheduling)] if scheduling else []
-    return (*((one, ("-lmvec", "-lm")) for one in (*first, vector)), (own, ("-lm",)), (flags, ("-lm",)))
+    return (vector, ("-lmvec", "-lm")), (own, ("-lm",)), (flags, ("-lm",))
 
 
 def instructions(function: ca.Function) -> Iterator[tuple[int, list[int], list[int], float]]:
@@ -272,33 +265,6 @@ def instructions(function: ca.Function) -> Iterator[tuple[int, list[int], list[i
 def name_of(code: int) -> str:
     """Return CasADi's name of an operation, such as "floor"."""
     return next(name[3:].lower() for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == code)
-
-
-def c_source(maps: Mapping[str, ca.Function], phases: Sequence[Phase], parameters: int) -> str:
-    """Return the C source of a library with a function for each map and the function ``run``, which takes all steps.
-
-    Args:
-        maps: Functions of SX of one argument, by name.
-        phases: of the motion, in their order.
-        parameters: number of a step's parameters.
-
-    Raises:
-        InputError: an operation without a vector form.
-    """
-    a_map, run, phase = map(Template, text_of(__package__, "batch.c").split("/* ---- */\n"))
-    lines = [text_of(__package__, "vectors.c")]
-    for name, one in maps.items():
-        text = Statements(one, ("x",))
-        body = "\n".join([*text.once, *text.each])
-        lines.append(a_map.substitute(name=name, inputs=one.numel_in(0), results=one.numel_out(), body=body))
-    state = phases[0][0].numel_out()
-    loops = []
-    for step, end in phases:
-        text = Statements(step, ("x", "p"))
-        once, each = "\n".join(text.once), "\n".join(text.each)
-        loops.append(phase.substitute(once=once, each=each, end=end, state=state))
-    lines.append(run.substitute(parameters=parameters, state=state, phases="\n".join(loops)))
-    return "\n".join(lines)
 
 
 @dataclass(frozen=True)

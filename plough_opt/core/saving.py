@@ -34,7 +34,7 @@ _MOST_BYTES: Final = 100_000_000
 _CLASSES: Final = {
     "run": "motion.run:Run",
     "machine": "motion.run:Machine",
-    "batch": "motion.batch.batch:BatchResult",
+    "batch": "motion.batch:BatchResult",
     "local optimum": "design.result.optimum:LocalOptimum",
     "optimum": "design.result.optimum:Optimum",
     "rounded optimum": "design.result.optimum:Rounded",
@@ -284,7 +284,7 @@ def _read(path: str | Path, wanted: type) -> Any:
     """
     path = path_of("the result", path)
     if is_store(path):
-        raise InputError(f"{shown(str(path), 200)} is the store of a sweep of version 0.2: sweep again into a CSV file")
+        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: read it with po.Sweep.load")
     text = read_text(path, "a saved result", ".json", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
     try:
         return _result_of(_parsed(text), wanted)

@@ -4,9 +4,7 @@
    output is read from ${ends} ends of steps, of which `from` is the first, with ${ends} weights of w and of its rate in
    w, and as many of w and of its rate in the rate. Otherwise `times` is NULL. `memory` has room for 4 vectors at each
    end of a step and ${ends} more. `out` has a row for each run: the states at the outputs, if there are any, the means,
-   and the mean squares about these. For orbits the two last rows of `in` have the units of states, and the state at
-   time 0 is only near the orbit, which is found as by `plough_opt.motion.solvers.orbit.returning`; without one the
-   results are NaN. */
+   and the mean squares about these. */
 typedef double Ends __attribute__((vector_size(8 * ${ends}), aligned(8)));
 void steps(int64_t n, const double *in, int64_t outputs, const double *times, const int64_t *from, const double *weight,
            double *memory, double *out) {
@@ -30,66 +28,29 @@ void steps(int64_t n, const double *in, int64_t outputs, const double *times, co
     V p[${given}], x[2], mean[${count}], square[${squared}], time;
     for (int j = 0; j < ${given}; j++) p[j] = gather(in + (j + 2) * columns, column);
 $once
-    /* Newton's method: the state tried, the nearest one so far with the step from there, and the state found. */
-    V unit[2], tried[2], best[2], change[2] = {0}, found[2], reached[6], nearest = (V){0} + INFINITY;
-    for (int j = 0; j < 2; j++) {
-      best[j] = gather(in + j * columns, column);
-      unit[j] = gather(in + (${given} + 5 + j) * columns, column);
-      found[j] = (V){0} + NAN;
-    }
-    M sought = best[0] == best[0];
-    int last = !${orbit};
-    for (int pass = 0;; pass++) {
-      const int shift = last ? 0 : pass % 3; /* the component of the state that is changed, from 1 on */
-      for (int j = 0; j < 2; j++) {
-        tried[j] = best[j] + change[j] * unit[j];
-        x[j] = shift == j + 1 ? tried[j] + ${difference} * unit[j] : tried[j];
-      }
-      for (int j = 0; j < ${count}; j++) mean[j] = (V){0};
-      for (int j = 0; j < ${squared}; j++) square[j] = (V){0};
-      time = (V){0};
-      for (int64_t k = 0; k <= most; k++) {
-        V s[2], y[${width}]; /* start and size of the step; a run that has ended takes steps without length */
-        s[0] = node[k];
-        s[1] = node[k + 1] - node[k];
+    for (int j = 0; j < 2; j++) x[j] = gather(in + j * columns, column);
+    for (int j = 0; j < ${count}; j++) mean[j] = (V){0};
+    for (int j = 0; j < ${squared}; j++) square[j] = (V){0};
+    time = (V){0};
+    /* A last step without length has the acceleration at the end, from which outputs are read. */
+    for (int64_t k = 0; k < most + (outputs > 0); k++) {
+      V s[2], y[${width}]; /* start and size of the step; a run that has ended takes steps without length */
+      s[0] = node[k];
+      s[1] = node[k + 1] - node[k];
 $each
-        /* The start of the step: w, w' and w''. */
-        V *end = ends + 3 * k;
-        end[0] = x[0]; end[1] = x[1]; end[2] = y[2];
-        x[0] = y[0]; x[1] = y[1];
-        /* Means and mean squares of this step are pooled with those of the steps before. */
-        time += s[1];
-        const V part = s[1] / time;
-        for (int j = 0; j < ${count}; j++) {
-          const V distance = y[3 + j] - mean[j];
-          if (j < ${squared})
-            square[j] = (1.0 - part) * (square[j] + part * distance * distance) + part * y[3 + ${count} + j];
-          mean[j] += part * distance;
-        }
+      /* The start of the step: w, w' and w''. */
+      V *end = ends + 3 * k;
+      if (outputs) end[0] = x[0], end[1] = x[1], end[2] = y[2];
+      x[0] = y[0]; x[1] = y[1];
+      /* Means and mean squares of this step are pooled with those of the steps before. */
+      time += s[1];
+      const V part = s[1] / time;
+      for (int j = 0; j < ${count}; j++) {
+        const V distance = y[3 + j] - mean[j];
+        if (j < ${squared})
+          square[j] = (1.0 - part) * (square[j] + part * distance * distance) + part * y[3 + ${count} + j];
+        mean[j] += part * distance;
       }
-      if (last) break;
-      for (int j = 0; j < 2; j++) reached[2 * shift + j] = x[j];
-      if (shift < 2) continue;
-      const V scale[2] = {1.0 / unit[0], 1.0 / unit[1]};
-      const V per[2] = {scale[0] / ${difference}, scale[1] / ${difference}};
-      const V miss[2] = {scale[0] * (tried[0] - reached[0]), scale[1] * (tried[1] - reached[1])};
-      const V a = per[0] * (reached[2] - reached[0]) - 1.0, b = per[0] * (reached[4] - reached[0]);
-      const V c = per[1] * (reached[3] - reached[1]), d = per[1] * (reached[5] - reached[1]) - 1.0;
-      const V over = 1.0 / (a * d - b * c);
-      const V step[2] = {over * (d * miss[0] - b * miss[1]), over * (a * miss[1] - c * miss[0])};
-      const V apart = miss[0] * miss[0] + miss[1] * miss[1];
-      const M nearer = apart < nearest;
-      nearest = v_pick(nearer, apart, nearest);
-      for (int j = 0; j < 2; j++) {
-        best[j] = v_pick(nearer, tried[j], best[j]);
-        change[j] = v_pick(nearer, step[j], 0.5 * change[j]);
-      }
-      const M moves = (v_fabs(change[0]) >= ${least}) | (v_fabs(change[1]) >= ${least});
-      for (int j = 0; j < 2; j++)
-        found[j] = v_pick(sought & nearer & ~moves, best[j] + change[j] * unit[j], found[j]);
-      sought &= moves;
-      if ((last = !any(sought) || pass >= 3 * ${iterations} - 1))
-        for (int j = 0; j < 2; j++) best[j] = found[j], change[j] = (V){0};
     }
     for (int l = 0; l < LANES && first + l < n; l++) {
       double *to = out + size * which[l];
@@ -135,7 +96,7 @@ int pair(const double *in, int64_t outputs, const double *times, const int64_t *
   steps(2, in, outputs, times, from, weight, memory + 2 * size, memory);
   V p[${known} + 1], sizes[2][${rows}] = {0};
   M finite = ~(M){0};
-  for (int j = 0; j < ${known}; j++) p[j] = (V){0} + in[${given} + 7 + j];
+  for (int j = 0; j < ${known}; j++) p[j] = (V){0} + in[${given} + 5 + j];
 $observed_once
   for (int64_t o = 0; o <= outputs; o += LANES) {
     V x[3], y[${rows}], check[${rows}];

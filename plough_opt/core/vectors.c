@@ -1,17 +1,23 @@
-/* A vector register of doubles, and functions of it; the compiler drops those that are not used. */
+/* Vector registers of doubles, and functions of them; the compiler drops those that are not used. With two registers
+   side by side a processor works on one while it waits for a result of the other. */
 #include <math.h>
 #include <stdint.h>
 
 #if defined(__AVX512F__)
-#define LANES 8
+#define WIDTH 8
 #define LETTER e
 #elif defined(__AVX2__)
-#define LANES 4
+#define WIDTH 4
 #define LETTER d
 #else
-#define LANES 2
+#define WIDTH 2
 #define LETTER b
 #endif
+#ifndef REGISTERS
+#define REGISTERS 1
+#endif
+#define LANES (REGISTERS * WIDTH)
+typedef double Register __attribute__((vector_size(8 * WIDTH), aligned(8 * WIDTH)));
 typedef double V __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));
 typedef int64_t M __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));
 
@@ -28,14 +34,21 @@ static inline int any(M m) { int64_t all = 0; for (int k = 0; k < LANES; k++) al
   static inline V v_##NAME(V a, V b) { V r; for (int k = 0; k < LANES; k++) r[k] = NAME(a[k], b[k]); return r; }
 #ifdef VECTOR_LIBRARY
 #define JOIN(A, B, C, D) A##B##N##C##D
-#define SYMBOL(LETTER, LANES, MANGLED) JOIN(_ZGV, LETTER, LANES, MANGLED)
+#define SYMBOL(LETTER, WIDTH, MANGLED) JOIN(_ZGV, LETTER, WIDTH, MANGLED)
+typedef union { V all; Register each[REGISTERS]; } Registers;
 /* The vector library's names, such as _ZGVdN4v_sin, have a letter for the registers and the number of their lanes. */
 #define LIBRARY(NAME) \
-  V SYMBOL(LETTER, LANES, v_##NAME)(V); \
-  static inline V v_##NAME(V a) { return SYMBOL(LETTER, LANES, v_##NAME)(a); }
+  Register SYMBOL(LETTER, WIDTH, v_##NAME)(Register); \
+  static inline V v_##NAME(V a) { \
+    Registers r = {a}; \
+    for (int k = 0; k < REGISTERS; k++) r.each[k] = SYMBOL(LETTER, WIDTH, v_##NAME)(r.each[k]); \
+    return r.all; }
 #define LIBRARY_OF_TWO(NAME) \
-  V SYMBOL(LETTER, LANES, vv_##NAME)(V, V); \
-  static inline V v_##NAME(V a, V b) { return SYMBOL(LETTER, LANES, vv_##NAME)(a, b); }
+  Register SYMBOL(LETTER, WIDTH, vv_##NAME)(Register, Register); \
+  static inline V v_##NAME(V a, V b) { \
+    Registers r = {a}, s = {b}; \
+    for (int k = 0; k < REGISTERS; k++) r.each[k] = SYMBOL(LETTER, WIDTH, vv_##NAME)(r.each[k], s.each[k]); \
+    return r.all; }
 #else
 #define LIBRARY(NAME) EACH(NAME)
 #define LIBRARY_OF_TWO(NAME) EACH_OF_TWO(NAME)
@@ -43,8 +56,6 @@ static inline int any(M m) { int64_t all = 0; for (int k = 0; k < LANES; k++) al
 
 static inline V gather(const double *from, const int64_t *which) {
   V r; for (int k = 0; k < LANES; k++) r[k] = from[which[k]]; return r; }
-static inline void choose(int64_t n, const int64_t *order, int64_t first, int64_t *which) {
-  for (int k = 0; k < LANES; k++) which[k] = order[first + k < n ? first + k : n - 1]; }
 
 EACH(floor) EACH(ceil) EACH(sqrt)
 LIBRARY(exp) LIBRARY(expm1) LIBRARY(log) LIBRARY(log1p) LIBRARY(sin) LIBRARY(cos) LIBRARY(tan) LIBRARY(asin)

@@ -33,7 +33,7 @@ from plough_opt.core.checks import Call, meaning_of, without_labels
 from plough_opt.core.compiler import Variant, in_machine_code
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
-from plough_opt.motion.batch.batch import DomainCheck
+from plough_opt.motion.domain import DomainCheck
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.derivatives import jets_of, weighted_curvature
 from plough_opt.motion.solvers.integrators import Embedding, Integration, embedding_of, integration

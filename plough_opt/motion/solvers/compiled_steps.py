@@ -3,6 +3,7 @@
 A single run takes the steps of its timeline, and its outputs are read like those of the interpreted run. A search needs
 output states and averages of thousands of designs, but only roughly: `ManyRuns` gives each its own number of steps, and
 outputs are read from the polynomial of degree 5 through deflection, rate and acceleration at both ends of a step.
+Periodic orbits are found by Newton's method on the map of one period, with three runs side by side for each design.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from plough_opt.core.expressions import maximum, stacked
 from plough_opt.core.files import text_of
 from plough_opt.core.rows import by_rows
 from plough_opt.motion.equation import Equation, Structure, equation_of
-from plough_opt.motion.solvers.orbit import DIFFERENCE, LAST_STEP, MOST_ITERATIONS, near_orbit, returning
+from plough_opt.motion.solvers.orbit import near_orbit, returning
 from plough_opt.motion.solvers.plan import rates
 from plough_opt.motion.solvers.steps import READ_FROM, Timeline, readings, run_from, step
 
@@ -45,15 +46,15 @@ _LOSS_ORDER = 9.0
 
 # -O3 doubles the time of compilation and does not speed up the runs.
 _STEPS_VARIANTS = variants("-O2")
-_FEWEST_COARSE_STEPS = 16
+FEWEST_COARSE_STEPS = 16
 # A run that needs more than this number, before any refinement, is not integrated.
 _MOST_COARSE_STEPS = 20_000
-# Doubles in the widest vector register.
-_WIDEST = 8
+# Doubles in two of the widest vector registers.
+_WIDEST = 16
 # Runs that one thread integrates at once: enough to fill vector registers many times, with little memory.
 _RUNS_AT_ONCE = 1024
 # Row of `in` that has the number of steps.
-_STEPS = -5
+_STEPS = -3
 
 # Results of `Equation.outputs`.
 _ROWS = 5
@@ -122,7 +123,7 @@ class CompiledSteps:
         """Return the array `in` of `steps.c` for runs of one scene from its start."""
         rate = float(self.equation.structure.start_rate(dict(zip(self.equation.names, p, strict=False))))
         most = max(len(timeline.nodes) for timeline in timelines) - 1.0
-        return [0.0, rate, *p, most, 0.0, 0.0, 0.0, 0.0]
+        return [0.0, rate, *p, most, 0.0, 0.0]
 
 
 def _room(most: float) -> int:
@@ -144,15 +145,16 @@ def _tables(timelines: tuple[Timeline, ...]) -> tuple[list[int | None], list[Arr
 
 
 @lru_cache(maxsize=64)
-def compiled_steps(structure: Structure) -> CompiledSteps | None:
-    """Return a structure's steps in machine code, compiled or from the user's cache.
+def compiled_steps(structure: Structure, registers: int = 1) -> CompiledSteps | None:
+    """Return a structure's steps in machine code, compiled or from the user's cache, for so many registers at once.
 
     Without a compiler, or if an own effect has an operation without a vector form, the result is None.
     """
     whole, address = ctypes.c_int64, ctypes.c_void_p
     arguments = {"steps": [whole, address, whole, *[address] * 5], "pair": [address, whole, *[address] * 5]}
     try:
-        library = loaded(source_of(structure), _STEPS_VARIANTS, arguments)
+        source = f"#define REGISTERS {registers}\n{source_of(structure)}"
+        library = loaded(source, _STEPS_VARIANTS, arguments)
     except InputError:
         return None
     return None if library is None else CompiledSteps(equation_of(structure), library)
@@ -178,10 +180,6 @@ def source_of(structure: Structure) -> str:
         count=equation.count,
         squared=equation.squared,
         ends=READ_FROM,
-        orbit=int(structure.orbit == "periodic"),
-        difference=DIFFERENCE,
-        least=LAST_STEP,
-        iterations=MOST_ITERATIONS,
         once="\n".join(one.once),
         each="\n".join(one.each),
         known=len(names),
@@ -230,10 +228,10 @@ class ManyRuns:
     def __init__(self, structure: Structure, outputs: int) -> None:
         self._structure, self._outputs = structure, outputs
         self._equation = equation_of(structure)
-        self._code = compiled_steps(structure)
+        self._code = compiled_steps(structure, 2)
         if self._code is None:
             source_of(structure)  # raises the error if an operation is the cause
-        self._planned = _planned(self._equation, COARSE_PHASE_READ if outputs else COARSE_PHASE)
+        self.planned = _planned(self._equation, COARSE_PHASE_READ if outputs else COARSE_PHASE)
 
     @property
     def size(self) -> int:
@@ -246,9 +244,7 @@ class ManyRuns:
         return self._code is not None
 
     def __call__(self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1) -> Array:
-        """Return the results, a row for each run.
-
-        They are NaN if its parameters are not finite, if it needs too many steps, or if no orbit is found.
+        """Return rough results, a row for each run; NaN if parameters are not finite, or too many steps are needed.
 
         Args:
             p: parameters of `plough_opt.motion.solvers.integrators.Integration`, the duration last; a row for each run.
@@ -257,56 +253,54 @@ class ManyRuns:
                 of their parameters. It divides the number of rows.
             threads: number of threads of machine code; the results do not depend on it.
         """
-        first, unit, (coarse, needed) = (part.T for part in self._planned(p))
-        steps = np.maximum(np.ceil(finer * needed), _FEWEST_COARSE_STEPS)
+        first, unit, (coarse, needed) = (part.T for part in self.planned(p))
         # Whether a run is integrated does not depend on `finer`.
-        few = (coarse <= _MOST_COARSE_STEPS) & np.isfinite(steps) & np.isfinite(p).all(axis=1)
-        if together == len(p) <= _RUNS_AT_ONCE and few.all():
-            return self._run(p, np.full(len(p), steps.max()), first, unit)
-        groups, members = steps.reshape(-1, together), few.reshape(-1, together)
-        steps = np.repeat(groups.max(axis=1, initial=0.0, where=members), together)
-        sound, results = np.flatnonzero(few), np.full((len(p), self.size), np.nan)
+        steps = np.where(coarse <= _MOST_COARSE_STEPS, self.whole(finer * needed), np.nan)
+        alike = np.fmax.reduce(steps.reshape(-1, together), axis=1).repeat(together)
+        return self.integrate(p, first.T, unit.T, np.where(np.isnan(steps), np.nan, alike), threads)[0]
+
+    def whole(self, steps: Array) -> Array:
+        """Return numbers of steps rounded up: to powers of two without machine code, where equal ones run together."""
+        least = np.maximum(steps, FEWEST_COARSE_STEPS)
+        return np.ceil(least) if self.compiled else 2.0 ** np.ceil(np.log2(least))
+
+    def integrate(self, p: Array, first: Array, unit: Array, steps: Array, threads: int = 1) -> tuple[Array, Array]:
+        """Return the results, a row for each run, and the largest multipliers of orbits, NaN for other motions.
+
+        The results are NaN if numbers of a run are not finite, or if no orbit is found.
+
+        Args:
+            p: parameters, a row for each run.
+            first: states at time 0, or near those of orbits, a row for each run.
+            unit: units of these states.
+            steps: number of steps of each run.
+            threads: number of threads of machine code.
+        """
+        results, largest = np.full((len(p), self.size), np.nan), np.full(len(p), np.nan)
+        sound = np.flatnonzero(np.isfinite(steps) & np.isfinite(p).all(axis=1))
         # Runs in one register wait for the slowest of them.
         order = sound[np.argsort(steps[sound], kind="stable")]
         chunks = [order[k : k + _RUNS_AT_ONCE] for k in range(0, len(order), _RUNS_AT_ONCE)]
 
         def enter(chunk: NDArray[np.int64]) -> None:
-            results[chunk] = self._run(p[chunk], steps[chunk], first[:, chunk], unit[:, chunk])
+            states, own, count = first[chunk], p[chunk], steps[chunk]
+            if self._structure.orbit == "periodic":
+                states, slopes = returning(
+                    lambda which, tried: self._run(tried, own[which], count[which], 1)[:, 2:4], states, unit[chunk]
+                )
+                finite = np.where(np.isfinite(slopes), slopes, 0.0)
+                largest[chunk] = np.abs(np.linalg.eigvals(finite)).max(axis=1)
+            results[chunk] = self._run(states, own, count, self._outputs)
 
         if threads > 1 and len(chunks) > 1 and self.compiled:
             with ThreadPoolExecutor(threads) as pool:
                 list(pool.map(enter, chunks))
         else:
             list(map(enter, chunks))
-        return results
+        return results, largest
 
-    def _run(self, p: Array, steps: Array, first: Array, unit: Array) -> Array:
+    def _run(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
         """Return the results of some runs, a row each.
-
-        Args:
-            p: parameters, the duration last; a row for each run.
-            steps: number of steps of each run.
-            first: states at time 0, or near those of orbits, a column for each run.
-            unit: units of these states.
-        """
-        if self._code is None:
-            states = first.T
-            if self._structure.orbit == "periodic":
-
-                def once(which: NDArray[np.int64], states: Array) -> Array:
-                    return self._interpret(states, p[which], steps[which], 1)[:, 2:4]
-
-                states, _ = returning(once, states, unit.T)
-            return self._interpret(states, p, steps, self._outputs)
-        given = np.zeros((p.shape[1] + 7, len(p)))
-        given[:2], given[2:_STEPS], given[_STEPS], given[-2:] = first, p.T, steps, unit
-        if self._structure.ramp:
-            kink = p[:, self._equation.names.index("ramp_time")] / p[:, -1]
-            given[_STEPS + 1], given[_STEPS + 2] = _before_kink(kink, steps)
-        return self._code.integrate(given, self._outputs)
-
-    def _interpret(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
-        """Return the results of some runs, a row each, by CasADi with the next power of two as number of steps.
 
         Args:
             first: states at time 0, a row for each run.
@@ -314,9 +308,20 @@ class ManyRuns:
             steps: number of steps of each run.
             outputs: number of intervals between output times; 0 for averages only.
         """
-        results, steps = [], 2.0 ** np.ceil(np.log2(steps))
+        if self._code is None:
+            return self._interpret(first, p, steps, outputs)
+        given = np.zeros((p.shape[1] + 5, len(p)))
+        given[:2], given[2:_STEPS], given[_STEPS] = first.T, p.T, steps
+        if self._structure.ramp:
+            kink = p[:, self._equation.names.index("ramp_time")] / p[:, -1]
+            given[_STEPS + 1], given[_STEPS + 2] = _before_kink(kink, steps)
+        return self._code.integrate(given, outputs)
+
+    def _interpret(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
+        """Return the same by CasADi: the runs of each number of steps by one loop."""
+        results, ramp = [], self._structure.ramp
         for count in np.unique(steps):
-            alike, ramp = np.flatnonzero(steps == count), self._structure.ramp
+            alike = np.flatnonzero(steps == count)
             timeline = Timeline(outputs or 1, int(count), aligned=ramp, moving=ramp)
             run = run_from(self._equation, timeline).map(len(alike))
             states, *averages = (np.asarray(part).T for part in run(first[alike].T, p[alike].T))

@@ -2,7 +2,7 @@
 
 from . import export as export, expressions as expressions, laws as laws, uncertainty as uncertainty
 from .app import plots as plots
-from .app.report import explore as explore
+from .app.page import explore as explore
 from .core.errors import (
     DomainError as DomainError,
     ImplausibleValue as ImplausibleValue,

@@ -14,7 +14,7 @@ from matplotlib.transforms import Bbox
 
 import plough_opt as po
 from plough_opt.app import plots
-from plough_opt.app.panels import deflection_of
+from plough_opt.app.plots import deflection_of
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.design import Limit

@@ -183,7 +183,7 @@ def explore(options: argparse.Namespace) -> None:
         InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, or the page
             cannot be written.
     """
-    from plough_opt.app.report import provenance, write_page
+    from plough_opt.app.page import provenance, write_page
 
     target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
     optional("jinja2")  # before anything is read
@@ -428,7 +428,7 @@ def _figure(saved: Mapping[str, Any]) -> Figure:
     if designs:
         return drawn("plot_designs", designs)
     runs = {f"{name} {share}".rstrip(): run for name, one in saved.items() for share, run in _runs(one).items()}
-    return drawn("plot_forces", runs)
+    return drawn("plot_runs", runs)
 
 
 def _column(path: str, paths: list[str]) -> str:

@@ -1,25 +1,26 @@
-"""Pictures of shares, runs, sweeps, batches and optima, in the units of the problem file."""
+"""Pictures of shares, runs, batches and optima, in the units of the problem file."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.app.panels import LIMIT, SHARE, SOIL, changing, draw_panel, limits_of, subject
 from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
-from plough_opt.core.files import COLOURS, figure_of_size, figure_with_panels, save_figure, scale_of
+from plough_opt.core.files import COLOURS, CONSTANT, figure_of_size, figure_with_panels, save_figure, scale_of
 from plough_opt.core.saving import Origin
-from plough_opt.core.units import customary
+from plough_opt.core.units import Display, customary
 from plough_opt.design import Limit, LocalOptimum, Optimum
 from plough_opt.design.search.landscape import Violation
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
+from plough_opt.motion.equation import GAP, STICK, Structure, parameters
 from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
@@ -33,26 +34,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "SIDE_BY_SIDE", "draw_cone", "draw_margins", "draw_panel", "draw_search", "draw_side_by_side", "draw_wedge",
-    "plot_batch", "plot_designs", "plot_forces", "plot_machine", "plot_optimum", "plot_run", "plot_share",
+    "plot_batch", "plot_designs", "plot_machine", "plot_optimum", "plot_run", "plot_runs", "plot_share",
     "plot_wedge_field", "save",
 ]  # fmt: skip
 
 save = save_figure
 
-SIDE_BY_SIDE: Final = {"mount_force": "N", "deflection": "m"}
-"""Results over time that are drawn for several runs -> SI unit."""
-
-# Smallest margin on either side of a limit, relative to its size: a smaller one would magnify rounding.
-_LEAST_ROOM = 0.02
-# Points in one panel: more would hide each other.
-_MOST_POINTS = 20_000
-# Panels of the search in one row.
-_PANELS = 3
+SHARE, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
+"""Colours in every picture: the share's motion and force, limits, the soil, and the strut."""
 # Colours of designs that fail a requirement, and of the share.
 _FAILED, _STEEL = "#cfd4d8", "#4a5a68"
-# Margin [%] at which a bar is cut off: such a requirement does not affect the design.
-_WIDE_MARGIN = 100.0
+# Points in one panel: more would hide each other.
+_MOST_POINTS: Final = 20_000
+# Panels of the search in one row.
+_PANELS: Final = 3
+
+
+# --- a run over time ------------------------------------------------------------------------------------------
 
 
 def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
@@ -95,6 +93,193 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
         axes.set_xlabel("")
     rows[-1].set_xlabel("time [s]")
     return figure
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Results of a run over time that share one pair of axes, in a picture or on a page.
+
+    Attributes:
+        name: name of the quantity, such as "force".
+        unit: the unit in which it is shown.
+        lines: label -> (values in SI, colour, whether the line is dashed), the most important first.
+        limits: (name, value in SI) of each limit.
+        mean: (name, mean in SI, RMS about the mean in SI), or None.
+    """
+
+    name: str
+    unit: Display
+    lines: dict[str, tuple[NDArray[np.float64], str, bool]]
+    limits: Sequence[tuple[str, float]]
+    mean: tuple[str, float, float] | None = None
+
+    @property
+    def changes(self) -> bool:
+        """Whether any line changes over time."""
+        return any(np.ptp(values) > CONSTANT * np.max(np.abs(values)) for values, _, _ in self.lines.values())
+
+
+def force_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return mount force and soil resistance over time, with mean draft, its RMS, and limits."""
+    draft, deviation = float(run.mean_draft), float(run.force_rms)
+    unit = run.origin.common("N", {"mount_force": run.peak_force, "mean_draft": draft})
+    lines = {"mount force": (run.mount_force, SHARE, False), "soil resistance": (run.soil_resistance, SOIL, False)}
+    mean = ("mean draft", draft, deviation)
+    return Panel("force", unit, lines, limits_of(run, limits, "mount_force", "mean_draft"), mean)
+
+
+def deflection_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return the spring's deflection over time, with its mean, RMS, and limits."""
+    mean = ("mean", float(run.mean_deflection), float(run.displacement_rms))
+    unit = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": mean[1]})
+    lines = {"deflection": (run.deflection, SHARE, False)}
+    return Panel("deflection", unit, lines, limits_of(run, limits, "deflection", "mean_deflection"), mean)
+
+
+def speed_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return the speeds of share and strut over time, with the limits of the share's."""
+    structure, p = Structure.of(run.scene), parameters(run.scene)
+    strut_speed = structure.towed(p, run.time)[1] + 0.0 * run.time
+    lines = {"share": (run.speed, SHARE, False), "strut": (strut_speed, STRUT, True)}
+    return Panel("speed", run.origin.display("scene.tow_speed", "m/s"), lines, limits_of(run, limits, "speed"))
+
+
+def changing(run: Run, limits: Sequence[Limit] = ()) -> list[Panel]:
+    """Return the panels of a run (force, deflection, speed) that change over time."""
+    return [panel for panel in (of(run, limits) for of in (force_of, deflection_of, speed_of)) if panel.changes]
+
+
+def subject(run: Run) -> str:
+    """Return the heading of a picture: the file's title, the soil and the tow speed."""
+    speed = run.origin.display("scene.tow_speed", "m/s").text(float(run.scene.tow_speed), 4)
+    return "\n".join(part for part in (run.origin.title, f"{run.scene.soil.name}, {speed}") if part)
+
+
+def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str, float]]:
+    """Return (name in words, value in SI) of each limit of some results, from the run's file and from ``limits``."""
+    given = {limit.name: (limit.low, limit.high) for limit in limits if limit.kind == "requirement"}
+    every = {**run.origin.limits, **given}
+    return [(called(name), end) for name in names for end in every.get(name, ()) if end is not None]
+
+
+def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
+    """Draw a panel: lines, mean with a band of ± RMS, limits, and above all lines a legend in columns that fit."""
+    unit = panel.unit
+    for label, (values, colour, dashed) in reversed(panel.lines.items()):
+        style, width = "--" if dashed else "-", 1.4 if colour == SHARE else 1.0
+        axes.plot(run.time, values / unit.factor, color=colour, linestyle=style, linewidth=width, label=label)
+    if panel.mean is not None:
+        name, mean, rms = panel.mean
+        label = f"{name} {unit.text(mean, 3)}"
+        axes.axhline(mean / unit.factor, color="black", linewidth=1.0, linestyle="--", label=label)
+        if rms > CONSTANT * abs(mean):
+            axes.axhspan((mean - rms) / unit.factor, (mean + rms) / unit.factor, color="black", alpha=0.08,
+                         label=f"± RMS {unit.text(rms, 3)}")  # fmt: skip
+    if panel.name == "force":
+        _shade_modes(axes, run)
+    low, high = axes.get_ylim()
+    for words, value in panel.limits:
+        label, at = f"limit of the {words} {unit.text(value, 4)}", value / unit.factor
+        if 3.0 * low - 2.0 * high < at < 3.0 * high - 2.0 * low:
+            axes.axhline(at, color=LIMIT, linewidth=1.6, label=label)
+        else:  # so far away that it would flatten the curves
+            side = "above" if at > high else "below"
+            axes.plot([], [], color=LIMIT, linewidth=1.6, label=f"{label}, {side} this picture")
+    axes.set(xlabel="time [s]", ylabel=unit.heading(panel.name), xlim=(float(run.time[0]), float(run.time[-1])))
+    low, high = axes.get_ylim()
+    # Widen the range around an almost constant result, so that its rounding is not magnified.
+    least = CONSTANT * max(abs(low), abs(high))
+    if high - low < 0.1 * max(abs(low), abs(high)):
+        low, high = low - 0.05 * abs(low) - least, high + 0.05 * abs(high) + least
+    rows = -(-len(axes.get_legend_handles_labels()[0]) // columns)
+    axes.set_ylim(low, high + (0.14 + 0.12 * rows) * (high - low))
+    axes.legend(loc="upper right", ncols=columns, fontsize="x-small")
+
+
+def _shade_modes(axes: Axes, run: Run) -> None:
+    """Shade the times when a share under stick and slip sticks, or has a gap ahead of it."""
+    for mode, label, color in ((STICK, "sticks", STRUT), (GAP, "gap", LIMIT)):
+        inside = np.asarray(run.mode) == mode
+        if np.any(inside):
+            axes.fill_between(run.time, 0, 1, where=inside.tolist(), transform=axes.get_xaxis_transform(),
+                              color=color, alpha=0.18, linewidth=0.0, label=label)  # fmt: skip
+
+
+# --- several runs, and many designs ----------------------------------------------------------------------
+
+
+def plot_runs(runs: Mapping[str, Run], origin: Origin | None = None) -> Figure:
+    """Draw mount force and deflection over time of several numeric runs, each in its own colour.
+
+    Args:
+        runs: name -> numeric run.
+        origin: decides title and units (default: the first run's).
+
+    Example:
+        >>> import plough_opt as po
+        >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+        >>> [axes.get_ylabel() for axes in po.plots.plot_runs({"front": run, "rear": run}).axes]
+        ['mount force [kN]', 'deflection [m]']
+    """
+    check_kind("the runs", runs, Mapping, "name -> numeric Run")
+    origin = next(iter(runs.values())).origin if origin is None else origin
+    figure = figure_of_size(9.0, 6.0)
+    figure.suptitle(origin.title)
+    _draw_side_by_side(figure.subplots(2, 1, sharex=True), runs, origin)
+    return figure
+
+
+def plot_machine(machine: Machine) -> Figure:
+    """Draw mount force and deflection over time of several shares in one frame: see `plot_runs`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+        >>> machine = po.Machine({"front": run, "rear": run})
+        >>> len(po.plots.plot_machine(machine).axes)
+        2
+    """
+    check_kind("the machine", machine, Machine, "a Machine of numeric runs")
+    return plot_runs(machine.runs, machine.origin)
+
+
+def _draw_side_by_side(rows: Sequence[Axes], runs: Mapping[str, Run], origin: Origin) -> None:
+    for axes, (name, unit) in zip(rows, {"mount_force": "N", "deflection": "m"}.items(), strict=True):
+        size = max(float(np.max(np.abs(getattr(run, name)))) for run in runs.values())
+        shown = origin.common(unit, {name: size})
+        for (label, run), colour in zip(runs.items(), itertools.cycle(COLOURS), strict=False):
+            axes.plot(run.time, getattr(run, name) / shown.factor, color=colour, linewidth=1.2, label=label)
+            for _, end in limits_of(run, (), name):
+                limit = end / shown.factor
+                axes.axhline(limit, color=colour, linewidth=1.6, linestyle=":", label=f"limit of {label}")
+        axes.set(xlabel="time [s]", ylabel=shown.heading(called(name)))
+        axes.legend(fontsize="small")
+
+
+def plot_batch(found: BatchResult) -> Figure:
+    """Draw RMS force over mean draft for every design of a batch.
+
+    Example:
+        >>> import casadi as ca
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> effects = po.Effects(strength_wave=po.StrengthWave(0.3, "0.2 m"))
+        >>> k = ca.MX.sym("k")
+        >>> scene = po.Scene(soil, share, k, "30 kg", "2 m/s", effects)
+        >>> found = po.Batch(scene, 0.2, [k])([[4e4], [5e4], [6e4]])
+        >>> po.plots.plot_batch(found).axes[0].get_xlabel()
+        'mean draft [kN]'
+    """
+    check_kind("the batch", found, BatchResult, "a BatchResult, as returned by po.Batch")
+    figure, (axes,) = figure_with_panels(1, 1, (6.5, 4.5))
+    step = max(1, len(found) // _MOST_POINTS)
+    axes.plot(found.mean_draft[::step] / 1e3, found.force_rms[::step] / 1e3, ".", color=SHARE, markersize=4)
+    axes.set(xlabel="mean draft [kN]", ylabel="RMS of the mount force [kN]")
+    return figure
+
+
+# --- designs ---------------------------------------------------------------------------------------------
 
 
 def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
@@ -144,7 +329,7 @@ def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None
     for end in ends:
         axes.axvline(end, color="black", linewidth=2.0)
     every = [*ends, *(value for value in values if value is not None)]
-    room = max(0.08 * (max(every) - min(every)), _LEAST_ROOM * max(map(abs, every))) or 1.0
+    room = max(0.08 * (max(every) - min(every)), 0.02 * max(map(abs, every))) or 1.0
     axes.set(ylim=(-1.0, 1.0), yticks=[], xlim=(min(every) - room, max(every) + room))
     if len(ends) == 2 and scale_of(ends) == "log":
         axes.set(xscale="log", xlim=(0.8 * min(every), 1.25 * max(every)))
@@ -152,57 +337,110 @@ def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None
     axes.spines[["left", "right", "top"]].set_visible(False)
 
 
-def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Origin) -> None:
-    """Draw one result of several runs over time, each in its own colour.
+def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
+    """Draw an optimum: the share, its equivalent cone, the response, the margins, and the designs of the search.
+
+    Args:
+        best: the optimum.
+        run: its numeric run; for several shares the picture shows their responses instead of their shapes.
+
+    Example:
+        >>> import plough_opt as po
+        >>> problem = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"])
+        >>> best, run = problem.optimise(search="near")
+        >>> len(po.plots.plot_optimum(best, run).axes)
+        5
+    """
+    check_kind("the optimum", best, Optimum, "an Optimum, as returned by Design.solve")
+    check_kind("the run", run, Run | Machine, "a numeric Run, as returned by po.simulate")
+    panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
+    required = [limit for limit in best.limits if limit.kind == "requirement" and not limit.trivial]
+    rows = -(-len(panels) // _PANELS)
+    response = [p for p in changing(run, best.limits) if p.name != "speed"] if isinstance(run, Run) else []
+    heights = [3.2] * (2 if response else 1) + [3.0] * rows
+    figure = figure_of_size(12.5, 0.8 + sum(heights))
+    figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)
+    top, *below = np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False))
+    left = [top.add_subplot(1, 3 if required else 2, k) for k in (1, 2)]
+    if isinstance(run, Machine):
+        _draw_side_by_side(left, run.runs, run.origin)
+    else:
+        _draw_wedge(left[0], run.scene)
+        _draw_cone(left[1], run.scene)
+        for k, panel in enumerate(response, start=1):
+            draw_panel(below[0].add_subplot(1, len(response), k), run, panel, columns=3)
+    if required:
+        _draw_margins(top.add_subplot(1, 3, 3), required)
+    for row, part in enumerate(below[len(heights) - 1 - rows :]):
+        for k in range(len(panels[_PANELS * row : _PANELS * (row + 1)])):
+            axes = part.add_subplot(1, min(_PANELS, len(panels)), k + 1)
+            _draw_search(axes, best, _PANELS * row + k)
+        if row == rows - 1:
+            part.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
+    return figure
+
+
+def _draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
+    """Draw the margin of each requirement in per cent of its limit."""
+    for k, limit in enumerate(required):
+        size = max(abs(limit.value), abs(limit.value + limit.margin)) or 1.0
+        percent = 0.0 if limit.active else 100.0 * limit.margin / size
+        axes.barh(k, min(percent, 100.0), height=0.32, color=SHARE)
+        if limit.active:
+            axes.plot(0.0, k, "D", color=LIMIT, markersize=7, clip_on=False)
+        words = "decides" if limit.active else f"margin {limit.margin_text()}"
+        sides = ((" ≥ ", limit.low), (" ≤ ", limit.high))
+        ends = "".join(f"{sign}{limit.shown.text(end, 4)}" for sign, end in sides if end is not None)
+        text = f"{called(limit.name)} {limit.shown.text(limit.rounded, 4)}{ends}: {words}"
+        # A long text may leave the axes; it must not shrink them.
+        axes.text(0.01, k - 0.26, text, fontsize="small", transform=axes.get_yaxis_transform(), in_layout=False)
+    axes.set(ylim=(len(required) - 0.5, -0.7), xlim=(0.0, max(10.0, 1.1 * axes.get_xlim()[1])), yticks=[])
+    axes.set(xlabel="margin [% of the limit]", title="Requirements")
+
+
+def _draw_search(axes: Axes, best: Optimum, variable: int) -> None:
+    """Draw the objective over one variable: the designs of the search, and the local optima with their spread.
 
     Args:
         axes: the axes to draw on.
-        runs: name -> numeric run.
-        name: name of the result, one of `SIDE_BY_SIDE`.
-        origin: origin of the runs, which decides the unit.
-
-    Example:
-        >>> from matplotlib.figure import Figure
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
-        >>> effects = po.Effects(strength_wave=po.StrengthWave(0.3, "0.2 m"))
-        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", effects)
-        >>> run = po.simulate(scene, "0.5 s")
-        >>> axes = Figure().subplots()
-        >>> po.plots.draw_side_by_side(axes, {"a": run}, "mount_force", run.origin)
-        >>> axes.get_ylabel()
-        'mount force [kN]'
+        best: an optimum with a search.
+        variable: index of the variable.
     """
-    size = max(float(np.max(np.abs(getattr(run, name)))) for run in runs.values())
-    unit = origin.common(SIDE_BY_SIDE[name], {name: size})
-    for (label, run), colour in zip(runs.items(), itertools.cycle(COLOURS), strict=False):
-        axes.plot(run.time, getattr(run, name) / unit.factor, color=colour, linewidth=1.2, label=label)
-        for _, end in limits_of(run, (), name):
-            axes.axhline(end / unit.factor, color=colour, linewidth=1.6, linestyle=":", label=f"limit of {label}")
-    axes.set(xlabel="time [s]", ylabel=unit.heading(called(name)))
-    axes.legend(fontsize="small")
+    search, name = best.search, list(best.variables)[variable]
+    assert search is not None  # a precondition
+    display = best.display(name)
+    values, feasible = search.values[:, variable] / display.factor, search.violation <= Violation.allowed
+    for which, color, label in (
+        (np.isfinite(search.objective) & ~feasible, _FAILED, "tried, fails a requirement"),
+        (feasible, SHARE, "tried, meets all requirements"),
+    ):
+        if np.any(which):
+            axes.plot(values[which], search.objective[which], ".", markersize=2, color=color, label=label, zorder=1)
+    for k, optimum in enumerate(best.local_optima):
+        at = optimum.variables[name] / display.factor
+        if optimum.spread is not None:
+            axes.plot([at, at], [optimum.objective, optimum.spread.worst], color=LIMIT, linewidth=1.2, zorder=2,
+                      label=None if k else "within the tolerances, up to the worst")  # fmt: skip
+        named = None if k > 1 else ("best" if k == 0 else "other local optima")
+        axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=LIMIT, zorder=3,
+                  markeredgecolor="white", label=named)  # fmt: skip
+    axes.set_xscale(scale_of(values))
+    _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
+    axes.set_xlabel(display.heading(called(name)))
+    if variable % _PANELS == 0:
+        axes.set_ylabel("objective")
 
 
-def plot_forces(runs: Mapping[str, Run]) -> Figure:
-    """Draw the mount forces of several numeric runs over time.
+def _show_low_objectives(axes: Axes, tried: NDArray[np.float64], best: Optimum) -> None:
+    """Limit the axis to the lower three quarters of the objectives, so that the optima can be told apart."""
+    lows = [optimum.objective for optimum in best.local_optima]
+    low = min([*lows, *tried.tolist()])
+    high = max([*lows, float(np.quantile(tried, 0.75)) if len(tried) else low])
+    room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
+    axes.set_ylim(low - room, high + room)
 
-    Args:
-        runs: name -> numeric run.
 
-    Example:
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
-        >>> effects = po.Effects(strength_wave=po.StrengthWave(0.3, "0.2 m"))
-        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", effects)
-        >>> run = po.simulate(scene, "0.5 s")
-        >>> po.plots.plot_forces({"stiff": run}).axes[0].get_xlabel()
-        'time [s]'
-    """
-    figure, (axes,) = figure_with_panels(1, 1, (8.0, 4.0))
-    draw_side_by_side(axes, runs, "mount_force", next(iter(runs.values())).origin)
-    return figure
+# --- a share in its soil ---------------------------------------------------------------------------------
 
 
 def plot_share(scene: Scene) -> Figure:
@@ -222,13 +460,66 @@ def plot_share(scene: Scene) -> Figure:
     check_kind("the scene", scene, Scene, "a numeric Scene")
     figure = figure_of_size(13, 4.4)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.24))
-    draw_cone(right, scene)
+    _draw_cone(right, scene)
     right.set_ylabel("")
     half_width = right.get_ylim()[1]
-    draw_wedge(left, scene)
+    _draw_wedge(left, scene)
     half_width = max(half_width, left.get_ylim()[1])
     left.set_ylim(-half_width, half_width)
     return figure
+
+
+def _draw_wedge(axes: Axes, scene: Scene) -> None:
+    """Draw the two triangular faces of a wedge, unfolded along their common edge."""
+    share = scene.share
+    axes.set_title("Faces of the share, unfolded")
+    if not isinstance(share, Wedge):
+        axes.text(0.5, 0.5, "the share is given as a cone", ha="center", transform=axes.transAxes)
+        axes.set_axis_off()
+        return
+    edge = float(share.height) / math.cos(share.chisel_angle)
+    width = edge * math.tan(share.angle)
+    for side in (1.0, -1.0):
+        axes.fill([0, edge, edge], [0, 0, side * width], facecolor=_STEEL, alpha=0.75 if side > 0 else 0.55,
+                  edgecolor="black", linewidth=0.8)  # fmt: skip
+    angles = np.linspace(0.0, float(share.angle), 30)
+    axes.plot(0.3 * edge * np.cos(angles), 0.3 * edge * np.sin(angles), color="white", linewidth=1.2)
+    axes.text(0.34 * edge * math.cos(angles[-1] / 2), 0.34 * edge * math.sin(angles[-1] / 2),
+              f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="left", va="center")  # fmt: skip
+    angle = f"chisel angle {math.degrees(share.chisel_angle):.0f}°"
+    along = f"along the edge, {edge:.3f} m long\nh = {share.height:.3f} m, {angle}"
+    _scale(axes, along, edge, width)
+
+
+def _draw_cone(axes: Axes, scene: Scene) -> None:
+    """Draw a longitudinal section of the equivalent cone and of the compacted soil around it."""
+    cone = scene.cone
+    height, radius = float(cone.height), float(cone.height * cone.slope)
+    loosens = not scene.law.lacks("loosened_radius")
+    front = float(scene.loosened_radius) if loosens else radius
+    if loosens:
+        axes.fill([0, height, height], [0, front, -front], facecolor=SOIL, alpha=0.35, edgecolor="none",
+                  label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
+        for side in (1.0, -1.0):
+            axes.plot([0, height], [0, side * front], color=SOIL, linestyle="--", linewidth=1.2)
+        axes.legend(loc="upper left", fontsize="small")
+    axes.fill([0, height, height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
+              linewidth=0.8)  # fmt: skip
+    axes.annotate("", xy=(-0.28 * height, 0), xytext=(-0.05 * height, 0),
+                  arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
+    axes.text(-0.165 * height, 0.04 * front, "travel", ha="center", va="bottom")
+    axes.text(0.96 * height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="right", va="center")
+    axes.set_title("Equivalent cone (equal height and surface)")
+    mount = customary("N/m", float(scene.stiffness)).text(float(scene.stiffness), 4)
+    along = f"along the axis [m]\nh = {height:.3f} m, base radius {radius:.3f} m\non a mount of {mount}"
+    _scale(axes, along, height, front, ahead=0.35 * height)
+
+
+def _scale(axes: Axes, along: str, length: float, half_width: float, ahead: float = 0.0) -> None:
+    """Set equal scales on both axes, with a margin around the drawing; ``along`` describes the horizontal one."""
+    axes.locator_params(nbins=4)
+    limits = {"xlim": (-ahead - 0.06 * length, 1.08 * length), "ylim": (-1.2 * half_width, 1.2 * half_width)}
+    axes.set(xlabel=along, ylabel="[m]", aspect="equal", **limits)
 
 
 def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
@@ -267,252 +558,3 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
                       arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
         axes.set(aspect="equal", xlabel="x behind the tip [m]", ylabel="y across [m]")
     return figure
-
-
-def plot_batch(found: BatchResult) -> Figure:
-    """Draw RMS force over mean draft for every design of a batch.
-
-    Example:
-        >>> import casadi as ca
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
-        >>> effects = po.Effects(strength_wave=po.StrengthWave(0.3, "0.2 m"))
-        >>> k = ca.MX.sym("k")
-        >>> scene = po.Scene(soil, share, k, "30 kg", "2 m/s", effects)
-        >>> found = po.Batch(scene, 0.2, [k])([[4e4], [5e4], [6e4]])
-        >>> po.plots.plot_batch(found).axes[0].get_xlabel()
-        'mean draft [kN]'
-    """
-    check_kind("the batch", found, BatchResult, "a BatchResult, as returned by po.Batch")
-    figure, (axes,) = figure_with_panels(1, 1, (6.5, 4.5))
-    step = max(1, len(found) // _MOST_POINTS)
-    axes.plot(found.mean_draft[::step] / 1e3, found.force_rms[::step] / 1e3, ".", color=SHARE, markersize=4)
-    axes.set(xlabel="mean draft [kN]", ylabel="RMS of the mount force [kN]")
-    return figure
-
-
-def plot_machine(machine: Machine) -> Figure:
-    """Draw mount force and deflection over time of several shares in one frame, each in its own colour.
-
-    Example:
-        >>> import plough_opt as po
-        >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
-        >>> machine = po.Machine({"front": run, "rear": run})
-        >>> len(po.plots.plot_machine(machine).axes)
-        2
-    """
-    check_kind("the machine", machine, Machine, "a Machine of numeric runs")
-    figure = figure_of_size(9.0, 6.0)
-    figure.suptitle(machine.origin.title)
-    for axes, name in zip(figure.subplots(2, 1, sharex=True), SIDE_BY_SIDE, strict=True):
-        draw_side_by_side(axes, machine.runs, name, machine.origin)
-    return figure
-
-
-def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
-    """Draw an optimum: the share, its equivalent cone, the response, the margins, and the designs of the search.
-
-    Args:
-        best: the optimum.
-        run: its numeric run; for several shares the picture shows their responses instead of their shapes.
-
-    Example:
-        >>> import plough_opt as po
-        >>> problem = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"])
-        >>> best, run = problem.optimise(search="near")
-        >>> len(po.plots.plot_optimum(best, run).axes)
-        5
-    """
-    check_kind("the optimum", best, Optimum, "an Optimum, as returned by Design.solve")
-    check_kind("the run", run, Run | Machine, "a numeric Run, as returned by po.simulate")
-    panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
-    required = [limit for limit in best.limits if limit.kind == "requirement" and not limit.trivial]
-    rows = -(-len(panels) // _PANELS)
-    response = [p for p in changing(run, best.limits) if p.name != "speed"] if isinstance(run, Run) else []
-    heights = [3.2] * (2 if response else 1) + [3.0] * rows
-    figure = figure_of_size(12.5, 0.8 + sum(heights))
-    figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)
-    top, *below = np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False))
-    left = [top.add_subplot(1, 3 if required else 2, k) for k in (1, 2)]
-    if isinstance(run, Machine):
-        for axes, name in zip(left, SIDE_BY_SIDE, strict=True):
-            draw_side_by_side(axes, run.runs, name, run.origin)
-    else:
-        draw_wedge(left[0], run.scene)
-        draw_cone(left[1], run.scene)
-        for k, panel in enumerate(response, start=1):
-            draw_panel(below[0].add_subplot(1, len(response), k), run, panel, columns=3)
-    if required:
-        draw_margins(top.add_subplot(1, 3, 3), required)
-    for row, part in enumerate(below[len(heights) - 1 - rows :]):
-        for k in range(len(panels[_PANELS * row : _PANELS * (row + 1)])):
-            axes = part.add_subplot(1, min(_PANELS, len(panels)), k + 1)
-            draw_search(axes, best, _PANELS * row + k)
-        if row == rows - 1:
-            part.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
-    return figure
-
-
-def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
-    """Draw the margin of each requirement in per cent of its limit.
-
-    Example:
-        >>> from matplotlib.figure import Figure
-        >>> import plough_opt as po
-        >>> design = po.Design()
-        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-        >>> design.require("half of it", height / 2.0, at_least="60 mm")
-        >>> design.minimise(height**2)
-        >>> best = design.solve(search=64)
-        >>> axes = Figure().subplots()
-        >>> po.plots.draw_margins(axes, [one for one in best.limits if one.kind == "requirement"])
-        >>> axes.get_title()
-        'Requirements'
-    """
-    for k, limit in enumerate(required):
-        size = max(abs(limit.value), abs(limit.value + limit.margin)) or 1.0
-        percent = 0.0 if limit.active else 100.0 * limit.margin / size
-        axes.barh(k, min(percent, _WIDE_MARGIN), height=0.32, color=SHARE)
-        if limit.active:
-            axes.plot(0.0, k, "D", color=LIMIT, markersize=7, clip_on=False)
-        words = "decides" if limit.active else f"margin {limit.margin_text()}"
-        sides = ((" ≥ ", limit.low), (" ≤ ", limit.high))
-        ends = "".join(f"{sign}{limit.shown.text(end, 4)}" for sign, end in sides if end is not None)
-        text = f"{called(limit.name)} {limit.shown.text(limit.rounded, 4)}{ends}: {words}"
-        # A long text may leave the axes; it must not shrink them.
-        axes.text(0.01, k - 0.26, text, fontsize="small", transform=axes.get_yaxis_transform(), in_layout=False)
-    axes.set(ylim=(len(required) - 0.5, -0.7), xlim=(0.0, max(10.0, 1.1 * axes.get_xlim()[1])), yticks=[])
-    axes.set(xlabel="margin [% of the limit]", title="Requirements")
-
-
-def draw_wedge(axes: Axes, scene: Scene) -> None:
-    """Draw the two triangular faces of a wedge, unfolded along their common edge.
-
-    Example:
-        >>> from matplotlib.figure import Figure
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
-        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
-        >>> axes = Figure().subplots()
-        >>> po.plots.draw_wedge(axes, scene)
-        >>> axes.get_title()
-        'Faces of the share, unfolded'
-    """
-    share = scene.share
-    axes.set_title("Faces of the share, unfolded")
-    if not isinstance(share, Wedge):
-        axes.text(0.5, 0.5, "the share is given as a cone", ha="center", transform=axes.transAxes)
-        axes.set_axis_off()
-        return
-    edge = float(share.height) / math.cos(share.chisel_angle)
-    width = edge * math.tan(share.angle)
-    for side in (1.0, -1.0):
-        axes.fill([0, edge, edge], [0, 0, side * width], facecolor=_STEEL, alpha=0.75 if side > 0 else 0.55,
-                  edgecolor="black", linewidth=0.8)  # fmt: skip
-    angles = np.linspace(0.0, float(share.angle), 30)
-    axes.plot(0.3 * edge * np.cos(angles), 0.3 * edge * np.sin(angles), color="white", linewidth=1.2)
-    axes.text(0.34 * edge * math.cos(angles[-1] / 2), 0.34 * edge * math.sin(angles[-1] / 2),
-              f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="left", va="center")  # fmt: skip
-    angle = f"chisel angle {math.degrees(share.chisel_angle):.0f}°"
-    along = f"along the edge, {edge:.3f} m long\nh = {share.height:.3f} m, {angle}"
-    _scale(axes, along, edge, width)
-
-
-def draw_cone(axes: Axes, scene: Scene) -> None:
-    """Draw a longitudinal section of the equivalent cone and of the compacted soil around it.
-
-    Example:
-        >>> from matplotlib.figure import Figure
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
-        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
-        >>> axes = Figure().subplots()
-        >>> po.plots.draw_cone(axes, scene)
-        >>> axes.get_title()
-        'Equivalent cone (equal height and surface)'
-    """
-    cone = scene.cone
-    height, radius = float(cone.height), float(cone.height * cone.slope)
-    loosens = not scene.law.lacks("loosened_radius")
-    front = float(scene.loosened_radius) if loosens else radius
-    if loosens:
-        axes.fill([0, height, height], [0, front, -front], facecolor=SOIL, alpha=0.35, edgecolor="none",
-                  label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
-        for side in (1.0, -1.0):
-            axes.plot([0, height], [0, side * front], color=SOIL, linestyle="--", linewidth=1.2)
-        axes.legend(loc="upper left", fontsize="small")
-    axes.fill([0, height, height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
-              linewidth=0.8)  # fmt: skip
-    axes.annotate("", xy=(-0.28 * height, 0), xytext=(-0.05 * height, 0),
-                  arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
-    axes.text(-0.165 * height, 0.04 * front, "travel", ha="center", va="bottom")
-    axes.text(0.96 * height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="right", va="center")
-    axes.set_title("Equivalent cone (equal height and surface)")
-    mount = customary("N/m", float(scene.stiffness)).text(float(scene.stiffness), 4)
-    along = f"along the axis [m]\nh = {height:.3f} m, base radius {radius:.3f} m\non a mount of {mount}"
-    _scale(axes, along, height, front, ahead=0.35 * height)
-
-
-def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
-    """Draw the objective over one variable: the designs of the search, and the local optima with their spread.
-
-    Args:
-        axes: the axes to draw on.
-        best: an optimum with a search.
-        variable: index of the variable.
-
-    Example:
-        >>> from matplotlib.figure import Figure
-        >>> import plough_opt as po
-        >>> design = po.Design()
-        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-        >>> design.require("half of it", height / 2.0, at_least="60 mm")
-        >>> design.minimise(height**2)
-        >>> best = design.solve(search=64)
-        >>> axes = Figure().subplots()
-        >>> po.plots.draw_search(axes, best, 0)
-        >>> axes.get_xlabel()
-        'height [mm]'
-    """
-    search, name = best.search, list(best.variables)[variable]
-    assert search is not None  # a precondition
-    display = best.display(name)
-    values, feasible = search.values[:, variable] / display.factor, search.violation <= Violation.allowed
-    for which, color, label in (
-        (np.isfinite(search.objective) & ~feasible, _FAILED, "tried, fails a requirement"),
-        (feasible, SHARE, "tried, meets all requirements"),
-    ):
-        if np.any(which):
-            axes.plot(values[which], search.objective[which], ".", markersize=2, color=color, label=label, zorder=1)
-    for k, optimum in enumerate(best.local_optima):
-        at = optimum.variables[name] / display.factor
-        if optimum.spread is not None:
-            axes.plot([at, at], [optimum.objective, optimum.spread.worst], color=LIMIT, linewidth=1.2, zorder=2,
-                      label=None if k else "within the tolerances, up to the worst")  # fmt: skip
-        named = None if k > 1 else ("best" if k == 0 else "other local optima")
-        axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=LIMIT, zorder=3,
-                  markeredgecolor="white", label=named)  # fmt: skip
-    axes.set_xscale(scale_of(values))
-    _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
-    axes.set_xlabel(display.heading(called(name)))
-    if variable % _PANELS == 0:
-        axes.set_ylabel("objective")
-
-
-def _show_low_objectives(axes: Axes, tried: NDArray[np.float64], best: Optimum) -> None:
-    """Limit the axis to the lower three quarters of the objectives, so that the optima can be told apart."""
-    lows = [optimum.objective for optimum in best.local_optima]
-    low = min([*lows, *tried.tolist()])
-    high = max([*lows, float(np.quantile(tried, 0.75)) if len(tried) else low])
-    room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
-    axes.set_ylim(low - room, high + room)
-
-
-def _scale(axes: Axes, along: str, length: float, half_width: float, ahead: float = 0.0) -> None:
-    """Set equal scales on both axes, with a margin around the drawing; ``along`` describes the horizontal one."""
-    axes.locator_params(nbins=4)
-    limits = {"xlim": (-ahead - 0.06 * length, 1.08 * length), "ylim": (-1.2 * half_width, 1.2 * half_width)}
-    axes.set(xlabel=along, ylabel="[m]", aspect="equal", **limits)

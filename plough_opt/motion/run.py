@@ -174,7 +174,7 @@ class Run(Saveable):
             >>> run.animate("out/share.gif", slower=10)  # doctest: +SKIP
         """
         self._numeric("animation")
-        path: Path = from_above("report", "write_animation")(self, target, slower)
+        path: Path = from_above("animation", "write_animation")(self, target, slower)
         return path
 
     def to_json(self, page: Page | None = None) -> str:

@@ -17,8 +17,8 @@ from peers import r1
 from scipy import stats
 
 import plough_opt as po
+from plough_opt.app.page import asset
 from plough_opt.app.page_model import page_model
-from plough_opt.app.report import asset
 from plough_opt.motion.equation import parameters
 
 # --- simulations, optimisations and a front of R1, compared with other tools at the same error. No test asserts a time

@@ -13,8 +13,8 @@ from helpers.problem_files import COTTON, SUBSOILER, changed
 from helpers.scenes import Shank, Waves
 
 import plough_opt as po
+from plough_opt.app.page import asset
 from plough_opt.app.page_model import AVERAGES, ROWS, design_model, page_model, switches
-from plough_opt.app.report import asset
 from plough_opt.core.errors import DomainError, PloughError
 from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.motion.vocabulary import MEASURES

@@ -17,7 +17,7 @@ from helpers.problem_files import PROBLEMS, SUBSOILER, changed
 from PIL import Image
 
 import plough_opt as po
-from plough_opt.app.report import Report, page, reported
+from plough_opt.app.page import Report, page, reported
 
 # Two variables fewer than the file has, so that the search is short.
 FIXED = ("share.wedge_angle=39 deg", "share.height=0.26 m")
@@ -146,7 +146,7 @@ def test_an_orbit_under_another_law_whose_optimum_is_not_unique(tmp_path):
     found = Page(text).text
     assert told["wrote"] == [str(out)]
     assert [value for value in told["provenance"].values() if value not in found["provenance"]] == []
-    assert "the result does not change along stiffness" in found["warnings"]
+    assert re.search("the result does not change along (share height and )?stiffness", found["warnings"])
     assert ("periodic" in found["soil"], "cone index" in found["soil"]) == (True, False)
     assert "Section of the equivalent cone;" in text  # nothing is compacted
     assert '"margin">0\u00a0kN<' in text  # of the limit that decides, whatever the optimiser's rounding

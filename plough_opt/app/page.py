@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from plough_opt.app.page_model import PageModel, design_model, page_model, shown_in, without_random
-from plough_opt.app.panels import Panel, changing, deflection_of, force_of, gif, subject
+from plough_opt.app.plots import Panel, changing, deflection_of, force_of
 from plough_opt.app.tables import ROUNDING, sensitivities_of
-from plough_opt.core.checks import check_domain, path_of, whole_number
+from plough_opt.core.checks import path_of, whole_number
 from plough_opt.core.errors import InputError, listed
 from plough_opt.core.expressions import as_number
 from plough_opt.core.files import COLOURS, check_file, text_of, write_file
@@ -407,7 +407,7 @@ def page(report: Report) -> str:
         why = str(refusal)
     drawn = {"charts": charts(report), "front": front(report), "motion": motion(report.run)}
     shown = drawn | {"model": model and explored(report, model)}
-    return _rendered("page.html", report=report, c=_CONTENT, data=shown, model=model, why=why)
+    return rendered("page.html", report=report, c=_CONTENT, data=shown, model=model, why=why)
 
 
 def design_page(best: Optimum, model: PageModel, title: str, made: str) -> str:
@@ -419,7 +419,7 @@ def design_page(best: Optimum, model: PageModel, title: str, made: str) -> str:
     optima = [_marks("other optima", _GREEN, [one.variables for one in best.local_optima[1:]])]
     known = {"marks": optima, "best": best.variables, "error": max(best.gap, best.error_estimate)}
     shown = {"charts": [], "front": [], "model": model.data | known}
-    return _rendered("design.html", title=title, best=best, made=made, data=shown, model=model)
+    return rendered("design.html", title=title, best=best, made=made, data=shown, model=model)
 
 
 def explored(report: Report, model: PageModel) -> dict[str, Any]:
@@ -460,7 +460,8 @@ def _marks(label: str, colour: str, designs: Sequence[Mapping[str, float]]) -> d
     return {"label": label, "colour": colour, "designs": [dict(one) for one in designs]}
 
 
-def _rendered(name: str, **values: Any) -> str:
+def rendered(name: str, **values: Any) -> str:
+    """Return a template of the folder `assets` as HTML; InputError without jinja2."""
     jinja = optional("jinja2")
     around = jinja.Environment(autoescape=True, loader=jinja.FunctionLoader(asset), undefined=jinja.StrictUndefined,
                                trim_blocks=True, lstrip_blocks=True)  # fmt: skip
@@ -577,16 +578,3 @@ def reported(problem: Problem, notify: Progress, seed: int = 0) -> Report:
         notify("simulating", 0.0)
         run = problem.simulate(None if front is None else shown_of(front).variables)
     return Report(problem, run, best, sensitivities, unknown, front=front)
-
-
-def write_animation(run: Run, target: str | Path, slower: float) -> Path:
-    """Write the motion of a numeric run: see `Run.animate`."""
-    path = path_of("the animation", target)
-    check_domain("slower", slower, "times", above=0.0)
-    if not changing(run):
-        raise InputError("nothing changes over time in this run, so there is no motion to animate")
-    if path.suffix.lower() == ".html":
-        text = _rendered("motion.html", title=subject(run).replace("\n", ": "), data={"motion": motion(run)})
-        return write_file(path, "animation", text)
-    check_file(path, "animation", ".html", ".gif")
-    return write_file(path, "animation", gif(run, slower))

@@ -61,7 +61,7 @@ from .studies.calibration import (
     calibrate as calibrate,
     read_measurements as read_measurements,
 )
-from .studies.sweep.question import Range as Range
+from .studies.sweep.points import Range as Range
 from .studies.sweep.result import Sweep as Sweep
 from .studies.tradeoff import Goal as Goal, TradeOff as TradeOff, trade_off as trade_off
 from .studies.uncertainty import Robust as Robust, SoilDistribution as SoilDistribution

@@ -54,8 +54,8 @@ SWITCHES = {
     r"catch_warnings|simplefilter|filterwarnings|chdir\(|setrecursionlimit|set_printoptions": set(),
     r"redirect_std": {"core/process.py"},
     r"seterr\(|random\.seed|rcParams|rc_context|setlocale|umask|set_int_max|putenv|environ\[[^]]*\] *=": set(),
-    r"dup2\(": {"app/main.py", "studies/sweep/pool.py"},
-    r"sys\.std\w+ *=(?!=)": {"studies/sweep/pool.py"},
+    r"dup2\(": {"app/main.py"},
+    r"sys\.std\w+ *=(?!=)": set(),
 }
 
 

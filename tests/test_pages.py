@@ -39,7 +39,7 @@ from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import reading, schema, source, uncertain
 from plough_opt.soil.elastic import medium
 from plough_opt.studies.calibration.measurements import MEASURABLE
-from plough_opt.studies.sweep import question
+from plough_opt.studies.sweep.points import MOST_POINTS
 from plough_opt.studies.tradeoff import assembly
 from plough_opt.studies.uncertainty import distribution
 
@@ -257,7 +257,7 @@ LIMITS = {
     ),
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Studies and runs": (
-        question.MOST_VALUES, question.MOST_SAMPLES, distribution.MOST_SAMPLES, uncertain.COUNTS["fresh"][1],
+        MOST_POINTS, distribution.MOST_SAMPLES, uncertain.COUNTS["fresh"][1],
         assembly._MOST_POINTS, effort._MOST_ACCEPTED, medium._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
     "Phase of a motion": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),

@@ -192,8 +192,9 @@ def test_a_far_limit_is_named_and_does_not_flatten_the_curve(run):
 
 
 def test_a_sweep_of_one_quantity_is_drawn_in_one_colour(inline):
-    with po.sweep(lambda at: {"b": at["a"], "c": 3.0}, {"a": [1.0, 2.0, 30.0]}, executor=inline) as own:
-        varying, constant = own.plot().axes
+    varying, constant = (
+        po.sweep(lambda at: {"b": at["a"], "c": 3.0}, {"a": [1.0, 2.0, 30.0]}, executor=inline).plot().axes
+    )
     assert len(varying.collections[0].get_facecolor()) == 1
     assert (varying.get_xscale(), constant.get_ylim()) == ("log", (0.0, pytest.approx(3.6)))
 

@@ -145,15 +145,15 @@ def squared(point):
 
 def test_a_sweep_prints_draws_and_gives_its_points(inline, tmp_path):
     over = {"a": [1.0, 2.0, 3.0], "b": [0.0, 10.0]}
-    with po.sweep(squared, over, executor=inline, units={"force": "N"}) as swept:
-        text, frame, saved = str(swept), swept.to_dataframe(), strict(swept.to_json())
-        assert 'src="data:image/png;base64,' in swept._repr_html_()
-        assert swept.plot(tmp_path / "picture.svg").axes
+    swept = po.sweep(squared, over, executor=inline, units={"force": "N"})
+    text, frame, saved = str(swept), swept.to_dataframe(), strict(swept.to_json())
+    assert 'src="data:image/png;base64,' in swept._repr_html_()
+    assert swept.plot(tmp_path / "picture.svg").axes
     assert "6 points, 1 failed" in text
     assert re.search(r"force +1 kN +a 1 +9\.01 kN +a 3\n +b 0 +b 10", text)
-    assert "failed at a = 2, b = 10: ValueError: too much" in text
-    least, failure = {"value": 1000.0, "point": 0, "values": {"a": 1.0, "b": 0.0}}, "ValueError: too much"
-    assert (saved["schema"], saved["results"]["force"]["least"], saved["failed"][0]["reason"]) == (1, least, failure)
+    assert "failed at a 2, b 10: ValueError: too much" in text
+    least, failure = {"force": 1000.0, "point": 0, "a": 1.0, "b": 0.0}, "ValueError: too much"
+    assert (saved["schema"], saved["results"]["force"]["least"], saved["failed"]) == (1, least, {"3": failure})
     np.testing.assert_array_equal(frame["force"], [1000.0, 1010.0, 4000.0, math.nan, 9000.0, 9010.0])
     assert frame.attrs["units"] == {"force": "N"}
 
@@ -372,12 +372,12 @@ def test_several_results_have_no_one_problem_and_are_not_overwritten(saved, tmp_
         assert told in done.said
 
 
-def test_a_sweep_is_shown_from_its_store(inline, tmp_path):
-    store, over = tmp_path / "s.db", {"a": [1.0, 2.0]}
-    po.sweep(lambda point: {"b": point["a"]}, over, store=store, executor=inline).close()
-    assert "2 points, 0 failed" in printed("show", store)
-    assert strict(printed("show", store, "--json"))["points"] == 2
-    assert "the store of a sweep has no problem file" in call("show", store, "--problem").said
+def test_a_sweep_is_shown_from_its_file(inline, tmp_path):
+    file, over = tmp_path / "s.csv", {"a": [1.0, 2.0]}
+    po.sweep(lambda point: {"b": point["a"]}, over, file=file, executor=inline)
+    assert "2 points, 0 failed" in printed("show", file)
+    assert strict(printed("show", file, "--json"))["points"] == 2
+    assert "the file of a sweep does not hold its problem" in call("show", file, "--problem").said
 
 
 # The limit of the file, and one near the curve, which ends at 0.05 m: only that is drawn, in metres as the file has it.

@@ -26,7 +26,7 @@ from plough_opt.core.files import check_file, drawn, write_new
 from plough_opt.core.plain_data import json_text
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES, quantities
-from plough_opt.core.saving import Origin, is_store, load
+from plough_opt.core.saving import Origin, load
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display
 from plough_opt.exchange.component import Component
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
     from plough_opt.design import LocalOptimum
     from plough_opt.design.search.effort import Search
-    from plough_opt.problem_file.sweep import ProblemSweep, What
+    from plough_opt.problem_file.sweep import What
     from plough_opt.studies.calibration import Fit, Measurements
     from plough_opt.studies.calibration.fit import HeldOut
 
@@ -220,26 +220,20 @@ def sweep(options: argparse.Namespace) -> None:
     problem = read(options)
     what: What = "optimise" if options.optimise else "simulate"
     plan = ProblemSweep.of(problem, over, what, options.method, options.samples, options.seed)
-    store = options.store or _store_of(options.file, plan)
     notes = list(plan.notes)
     if options.samples is not None and options.samples & (options.samples - 1):
         notes.append(f"{options.samples} samples are not a power of two: a Sobol sample is balanced at 64, 128, ...")
     for note in notes:
         LOG.info("note: %s", note)
+    rest = {"samples": options.samples, "seed": options.seed, "progress": not quiet(), "file": options.csv}
+    if options.csv is None or not options.csv.lower().endswith(".csv"):  # so that the same command goes on
+        digest = hashlib.sha256(plan.question.encode(errors="surrogatepass")).hexdigest()[:8]
+        rest["file"] = f"{Path(options.file).stem}-{digest}.sweep.csv"
     with _executor(options.scheduler) as (executor, workers):
-        rest = {name: getattr(options, name) for name in ("samples", "seed", "retry", "limit")}
-        found = plan.run(
-            store=store, executor=executor, workers=workers or options.workers, progress=not quiet(), **rest
-        )
-    with found:
-        give(options, found.page(), found.to_json, found.plot, found.to_dataframe, found.to_csv)
-        if options.npz is not None:
-            wrote(found.to_npz(options.npz))
-        if found.failed == len(found):
-            raise NotConverged("every point failed; the reasons are listed above and in the tables", "failed")
-        if undetermined := len(list(found.undetermined)):
-            lost = f"{undetermined} of {len(found)} points are undetermined, because workers ended while computing them"
-            raise NotConverged(f"{lost}; run the same command with --retry to repeat them", "undetermined")
+        swept = plan.run(executor=executor, workers=workers or options.workers, **rest)
+    give(options, swept.page(), swept.to_json, swept.plot, swept.to_dataframe, swept.to_csv)
+    if swept.failed == len(swept):
+        raise NotConverged("every point failed; the reasons are in the table", "failed")
 
 
 def _over(options: argparse.Namespace) -> dict[str, object]:
@@ -256,12 +250,6 @@ def _over(options: argparse.Namespace) -> dict[str, object]:
             raise InputError(f"--over {text}: '{name}' is also fixed by --set: remove one of the two")
         over[name] = written.strip("\"'")  # quotes that a shell left
     return over
-
-
-def _store_of(file: str, plan: ProblemSweep) -> Path:
-    """Return the default store, whose name depends on the question, so that only the same command finds it again."""
-    text = json.dumps([dict(plan.question), {name: repr(axis) for name, axis in plan.axes.items()}, plan.count])
-    return Path(f"{Path(file).stem}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sweep.db")
 
 
 @contextmanager
@@ -380,13 +368,13 @@ def show(options: argparse.Namespace) -> None:
         _compare(options)
         return
     path = Path(options.file[0])
-    if is_store(path):
+    if path.suffix.lower() == ".csv":
         from plough_opt.studies.sweep.result import Sweep
 
         if options.problem:
-            raise InputError("the store of a sweep has no problem file, only its settings: --json prints these")
-        with Sweep.load(path) as swept:
-            give(options, swept.page(), swept.to_json, swept.plot, swept.to_dataframe, swept.to_csv)
+            raise InputError("the file of a sweep does not hold its problem: --json prints a summary")
+        swept = Sweep.load(path)
+        give(options, swept.page(), swept.to_json, swept.plot, swept.to_dataframe, swept.to_csv)
         return
     found = load(path)
     origin: Origin = getattr(found, "origin", Origin())

@@ -154,7 +154,7 @@ def _init(verb: _Parser) -> None:
 
 
 def _show(verb: _Parser) -> None:
-    results = "saved results (JSON), or the store of a sweep; several designs or runs are set side by side"
+    results = "saved results (JSON), or the CSV file of a sweep; several designs or runs are set side by side"
     verb.add_argument("file", metavar="FILE", nargs="+", help=results)
     verb.results(json="print the result as JSON (SI units)")
     verb.switch("problem", "print the problem file and its data instead")
@@ -199,12 +199,9 @@ def _sweep(verb: _Parser) -> None:
     verb.choice("method", ("auto", "each", "batch"), how, "auto")
     verb.option("workers", "N", "processes on this machine (default: all cores)", type=int)
     verb.option("scheduler", "ADDRESS", "use the workers of a dask scheduler: tcp://host:8786")
-    verb.option("store", "FILE", "database of finished points (default: named after the sweep)")
-    verb.switch("retry", "repeat points that failed or are undetermined")
-    verb.option("limit", "SECONDS", "time after which a point fails (default: 3600)", type=float)
-    verb.option("npz", "FILE", "write an array for each column")
     verb.shared(seed="seed of the sample (default: 0)")
-    verb.results(by_pandas=False, plot="draw every result: .png, .svg or .pdf")
+    csv = "write a row for each finished point, and continue there (default: a file named after the sweep)"
+    verb.results(by_pandas=False, csv=csv, plot="draw every result: .png, .svg or .pdf")
 
 
 def _calibrate(verb: _Parser) -> None:

@@ -67,7 +67,7 @@ def quiet() -> bool:
 
 
 # Options that name a file to be written.
-_OUTPUT_FILES = ("plot", "csv", "npz", "output", "description", "store")
+_OUTPUT_FILES = ("plot", "csv", "output", "description")
 
 
 def read(options: argparse.Namespace) -> Problem:

@@ -284,7 +284,7 @@ def _read(path: str | Path, wanted: type) -> Any:
     """
     path = path_of("the result", path)
     if is_store(path):
-        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: read it with po.Sweep.load")
+        raise InputError(f"{shown(str(path), 200)} is the store of a sweep of version 0.2: sweep again into a CSV file")
     text = read_text(path, "a saved result", ".json", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
     try:
         return _result_of(_parsed(text), wanted)

@@ -20,7 +20,7 @@ from plough_opt.motion.effects.profile import profile_of
 from plough_opt.problem_file.schema import RANDOM
 from plough_opt.problem_file.source import Source, read_axis
 from plough_opt.soil.strength import Spectrum, StrengthRecord, strength_spectrum
-from plough_opt.studies.sweep.question import Range
+from plough_opt.studies.sweep.points import Range
 
 Vector = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from plough_opt.core.errors import DomainError, InputError, about, nearest, shor
 from plough_opt.core.files import BYTE_ORDER_MARK, read_text
 from plough_opt.core.tables import raise_listed
 from plough_opt.core.units import Display, Unit, display_of
-from plough_opt.studies.sweep.question import Axis, Range, axis_of
+from plough_opt.studies.sweep.points import Axis, Range, axis_of
 
 Keys = tuple[str, ...]
 

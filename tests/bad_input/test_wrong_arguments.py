@@ -326,15 +326,13 @@ def complaint(name, argument, wrong):
         return f"{type(error).__name__}: {error}"
     finally:
         plt.close("all")
-    if isinstance(answer, po.Sweep):
-        answer.close()
     is_number = isinstance(answer, float | np.ndarray) and np.asarray(answer).dtype.kind == "f"
     return f"answer {answer}" if is_number and np.any(np.isnan(answer)) else None
 
 
 @pytest.mark.parametrize("count", [300, pytest.param(None, marks=pytest.mark.slow)], ids=["some", "all"])
 def test_wrong_arguments_are_refused(count, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # a sweep may write its store here
+    monkeypatch.chdir(tmp_path)  # a sweep may write its file here
     told = {case: said for case in cases()[:count] if (said := complaint(*case))}
     assert told == {}
 

@@ -23,15 +23,15 @@ import trimesh
 from helpers.commands import call, cells, printed
 from helpers.problem_files import PROBLEMS, REFERENCE, SUBSOILER, changed
 from helpers.swept import until
-from rich.console import Console
 
 import plough_opt as po
 from plough_opt.app import commands, terminal
 from plough_opt.app.main import main
 from plough_opt.core import process
 from plough_opt.core.process import heartbeat
+from plough_opt.core.screen import Screen, progress_on
 from plough_opt.problem_file import template
-from plough_opt.studies.sweep.engine import SweepLoop, bar
+from plough_opt.studies.sweep import engine
 
 # --- the command `plough-opt`: what it prints and writes, its exit status, and never a traceback ---
 
@@ -347,10 +347,10 @@ def test_commands_and_sweeps_say_it(monkeypatch):
     assert done.status == 0
     assert "calibrating: 0 s so far\n" in done.err
     stream = io.StringIO()
-    with bar(Console(file=stream)) as told:
-        told(3, 10, 1)
+    with progress_on(Screen(file=stream)) as told:
+        told("sweep: 3 of 10 points", 0.3)
         until(lambda: "3 of 10" in stream.getvalue())
-    assert "sweep: 3 of 10 points, 1 failed: 0 s so far\n" in stream.getvalue()
+    assert "sweep: 3 of 10 points: 0 s so far\n" in stream.getvalue()
 
 
 # --- what each command imports before it begins: counted in modules, by a process of its own ---
@@ -442,7 +442,7 @@ def test_bad_input_is_refused_in_a_sentence_before_anything_is_computed(tmp_path
     (tmp_path / "link.csv").symlink_to("draft_against_loosening.toml")
     (tmp_path / "round.csv").symlink_to("round.csv")
     before = {path: path.read_bytes() for path in tmp_path.glob("*.*") if path.is_file()}
-    for owner, name in ((po.Problem, "simulate"), (po.Design, "solve"), (SweepLoop, "run")):
+    for owner, name in ((po.Problem, "simulate"), (po.Design, "solve"), (engine, "_answers")):
         monkeypatch.setattr(owner, name, None)
     for short, long in SHORT.items():
         line = line.replace(short, long)

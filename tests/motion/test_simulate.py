@@ -283,8 +283,8 @@ def test_designs_sweeps_and_components_average_over_whole_waves():
     each = [problem.simulate({"scene.tow_speed": speed}) for speed in speeds]
     assert [run.duration for run in each] == pytest.approx([np.floor(0.5 * v / 0.2 + 1e-9) * 0.2 / v for v in speeds])
     batch = ProblemSweep.of(problem, {"scene.tow_speed": speeds}, method="batch").evaluation
-    found, _, _ = batch.many(np.array(speeds)[:, None])
-    assert found[:, 0] == pytest.approx([run.mean_draft for run in each], rel=1e-5)
+    drafts = [answer.results["mean_draft"] for answer in batch.many([{"scene.tow_speed": speed} for speed in speeds])]
+    assert drafts == pytest.approx([run.mean_draft for run in each], rel=1e-5)
     component = problem.component(["scene.tow_speed"], ["mean_draft"])
     assert float(component(scene_tow_speed=1.7)["mean_draft"]) == pytest.approx(each[2].mean_draft, rel=1e-5)
     design, run = problem.design(parameters=True)

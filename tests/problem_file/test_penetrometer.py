@@ -254,10 +254,7 @@ def test_a_record_becomes_its_spectrum(read, record):
 def test_it_is_a_column_of_sweeps_and_an_output_of_components(read, inline):
     problem = read(written(), "scene.duration=0.2 s", "scene.outputs=20")
     over = {"effects.random_strength.rms": [0.1, 0.2], "scene.stiffness": [4e4, 8e4]}
-    tables = []
-    for method in ("each", "batch"):
-        with po.sweep(problem, over, method=method, executor=inline) as found:
-            tables.append(found.table)
+    tables = [po.sweep(problem, over, method=method, executor=inline).table for method in ("each", "batch")]
     made = problem.component([*over], [*NAMES])
     for k in range(4):
         at = {name: tables[0][k][name] for name in over}

@@ -308,10 +308,11 @@ def test_parts_on_either_side_of_the_ridge_are_certified():
         assert point.gap < 1e-12
         assert max(point.violation, point.residual) < 1e-9
         assert {"loosened_radius", "half_angle"} <= set(point.active)
-    many = SimulationOfMany(po.read_problem(FILE), tuple(axis.name for axis in front.variables))
-    found = dict(zip(many.results, many.many(front.designs)[0].T, strict=True))
+    many = SimulationOfMany(po.read_problem(FILE), tuple(axis.name for axis in front.variables), "")
+    answers = many.many([dict(zip(many.names, row, strict=True)) for row in front.designs])
+    found = [[answer.results[name] for name in ("mean_deflection", "force_rms")] for answer in answers]
     # Another method of integration, to the error that it promises.
-    assert np.column_stack([found["mean_deflection"], found["force_rms"]]) == pytest.approx(front.objectives, rel=1e-6)
+    assert found == pytest.approx(front.objectives, rel=1e-6)
 
 
 # Depth and width of a dip in the second objective. The tolerance, 0.3 % of a range of 1, is 1.5 times the width.

@@ -1,1 +1,1 @@
-"""Resumable sweeps: a function, a simulation or a whole optimisation at every point of a grid or a sample."""
+"""Sweeps: a function, a simulation or a whole optimisation at every point of a grid or a sample."""

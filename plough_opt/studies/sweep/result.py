@@ -1,177 +1,135 @@
-"""`Sweep`: the result of a sweep, read from its store on demand, with tables that need not fit into memory."""
+"""`Sweep`: the points of a sweep with their results, as in its CSV file, which has a row for each."""
 
 from __future__ import annotations
 
+import csv
+import io
 import itertools
 import re
-import weakref
-import zipfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import numpy as np
-from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
-from plough_opt.core.errors import InputError, counted
+from plough_opt.core.errors import Counted, InputError, count, counted
 from plough_opt.core.files import COLOURS, CONSTANT, figure_with_panels, scale_of, write_file, written
 from plough_opt.core.plain_data import Array, json_text
-from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
-from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame, write_table
+from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.sweep.store import RESERVED, State, Store, closed_on_error
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# States of points without results.
-_LOST: Final[tuple[State, ...]] = ("failed", "undetermined")
-# Failures that a printed table quotes.
-_QUOTED: Final = 3
-# Failures that a JSON text lists.
-_LISTED: Final = 1000
-# Results, and of a large sweep swept quantities, that one picture shows: with more panels none is legible.
-_MOST_ROWS: Final = 6
-_MOST_COLUMNS: Final = 4
-# Points that are drawn one by one: more would hide each other, and take longer than all else.
-_MOST_DOTS: Final = 2000
-# Cells across a panel of densities.
-_CELLS: Final = 40
-# Rows of an array that are written at once.
-_AT_ONCE: Final = 16384
+BETWEEN: Final = " | "
+"""Text between the warnings of a point."""
+
+# Columns of texts, and the number of the point; quantities stand before "question", results after it.
+_FIXED: Final = {"point": "i8", "question": "O", "warnings": "O", "reason": "O"}
 
 
-@dataclass(frozen=True)
-class PointWithoutResults:
-    """A point without results.
+@dataclass
+class Sweep(Readable):
+    """The points of a sweep with their results.
 
     Attributes:
-        point: number of the point.
-        values: of the quantities there, SI.
-        reason: why it has no results.
-    """
-
-    point: int
-    values: dict[str, float]
-    reason: str
-
-
-@dataclass(frozen=True)
-class Extreme:
-    """The least or largest value of a result.
-
-    Attributes:
-        value: the value.
-        point: number of the first point that has it.
-        values: of the quantities there, SI.
-    """
-
-    value: float
-    point: int
-    values: dict[str, float]
-
-
-class Sweep(Readable, AbstractContextManager["Sweep"]):
-    """The points of a sweep with their results, read from the store on demand.
-
-    Attributes:
-        already: number of points that were stored before this run began.
-        origin: the problem that was swept, if known.
-        how: sentence on how the points were computed, if known.
-        path: of the store; None if it is a temporary file.
         names: names of the swept quantities.
         results: names of the results.
+        table: structured array with a row for each point: ``point``, quantities (SI), ``question`` (a digest of what
+            else the results depend on), results (SI, NaN at points that failed), ``warnings`` and ``reason`` (why the
+            point failed, or "").
         units: name -> SI unit, of quantities and results that have one.
-        question: everything that the results depend on, as texts.
+        path: of the file, or None.
+        origin: the problem that was swept, if known.
+        how: sentence on how the points were computed, if known.
 
     Example:
         >>> import plough_opt as po
-        >>> swept = po.Sweep.load("out/sweep.db")  # doctest: +SKIP
+        >>> swept = po.Sweep.load("out/cohesion.csv")  # doctest: +SKIP
     """
 
-    origin = Origin()
-    how = ""
-
-    def __init__(self, store: Store, already: int) -> None:
-        self._store, self.already, self.path = store, already, store.path
-        about = store.about
-        self.names, self.results, self.units, self.question = about.names, about.results, about.units, about.question
-        weakref.finalize(self, store.close)
+    names: tuple[str, ...]
+    results: tuple[str, ...]
+    table: NDArray[np.void]
+    units: Mapping[str, str]
+    path: Path | None = None
+    origin: Origin = field(default_factory=Origin)
+    how: str = ""
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
-        """Read a store, complete or not.
+        """Read the file of a sweep, finished or not.
 
         Raises:
-            InputError: there is no such file, or it is damaged or not a store of this layout.
+            InputError: there is no such file, or it is not that of a sweep.
 
         Example:
             >>> import tempfile
             >>> from concurrent.futures import ThreadPoolExecutor
             >>> import plough_opt as po
             >>> with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
-            ...     path = f"{folder}/squares.db"
-            ...     po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, store=path, executor=pool).close()
-            ...     with po.Sweep.load(path) as swept:
-            ...         print(swept.column("y").tolist())
+            ...     path = f"{folder}/squares.csv"
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, file=path, executor=pool)
+            ...     print(po.Sweep.load(path).column("y").tolist())
             [1.0, 9.0]
         """
-        path = path_of("the store", path)
-        if not path.is_file():
-            raise InputError(f"there is no store {shown(str(path), 200)}")
-        store = Store(path, write=False)
-        with closed_on_error(store):
-            if store.empty:
-                raise InputError(f"'{path}' is empty, not the store of a sweep")
-            already = store.counts().stored
-        return cls(store, already)
+        path = path_of("the file", path)
+        try:
+            with path.open(encoding="utf-8", errors="replace", newline="") as stream:
+                return cls.read(stream, path)
+        except OSError as error:
+            raise InputError(f"the file {shown(str(path), 200)} of a sweep cannot be read: {error.strerror}") from None
 
-    def close(self) -> None:
-        """Close the store; the results are lost if it is a temporary file.
+    @classmethod
+    def read(cls, stream: TextIO, path: Path | None = None) -> Sweep:
+        """Return the sweep in a stream; a last line without its end, which a killed run leaves, does not count.
 
-        Example:
-            >>> from concurrent.futures import ThreadPoolExecutor
-            >>> import plough_opt as po
-            >>> with ThreadPoolExecutor(1) as pool:
-            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
-            >>> largest = swept.extreme("y", largest=True).value
-            >>> swept.close()
+        Raises:
+            InputError: it is not a sweep.
         """
-        self._store.close()
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        first = stream.readline()
+        heads = first.rstrip("\n").split(",")
+        if first.startswith("SQLite format 3"):
+            raise InputError(f"'{path}' is a store of version 0.2, which this version cannot read: name a new CSV file")
+        if heads[0] != "point" or heads[-2:] != ["warnings", "reason"] or "question" not in heads:
+            raise InputError(f"'{path}' is not the file of a sweep: name another file")
+        pairs = [head.rstrip("]").partition(" [") for head in heads]
+        names = [name for name, _, _ in pairs]
+        middle = names.index("question")
+        check_columns([*names[1:middle], *names[middle + 1 : -2]])
+        kind, lines = [(name, _FIXED.get(name, "f8")) for name in names], [*stream]
+        if lines and not lines[-1].endswith("\n"):
+            lines.pop()
+        try:
+            table = np.loadtxt(lines, kind, None, ",", quotechar='"', ndmin=1) if lines else np.zeros(0, kind)
+        except ValueError as error:
+            raise InputError(f"'{path}' holds what no sweep writes ({error}): name another file") from None
+        table = table[np.unique(table["point"], return_index=True)[1]]
+        units = {name: unit for name, _, unit in pairs if unit}
+        return cls(tuple(names[1:middle]), tuple(names[middle + 1 : -2]), table, units, path)
 
     def __len__(self) -> int:
-        return self._store.counts().stored
+        return len(self.table)
 
-    @property
-    def complete(self) -> bool:
-        """Whether every point is stored."""
-        return len(self) == self._store.about.count
+    @cached_property
+    def failures(self) -> dict[int, str]:
+        """Number of each point that failed -> the reason."""
+        return {int(row["point"]): str(row["reason"]) for row in self.table[self.table["reason"] != ""]}
 
     @property
     def failed(self) -> int:
-        """Number of failed points: those without results for a known reason."""
-        return self._store.counts().failed
-
-    @property
-    def table(self) -> NDArray[np.void]:
-        """A structured array of ``point``, quantities and results, SI; results are NaN at points without any."""
-        kind = np.dtype([("point", "i8"), *((name, "f8") for name in self._store.about.columns)])
-        # NumPy converts None to NaN.
-        return np.fromiter(self._store.rows("point", *self._store.about.columns), dtype=kind)
+        """Number of points that failed."""
+        return len(self.failures)
 
     def column(self, name: str) -> Array:
-        """Return a quantity or a result at every point, SI; NaN at points without results.
+        """Return a quantity or a result at every point, SI; NaN at points that failed.
 
         Example:
             >>> from concurrent.futures import ThreadPoolExecutor
@@ -181,45 +139,34 @@ class Sweep(Readable, AbstractContextManager["Sweep"]):
             >>> swept.column("y").tolist()
             [1.0, 9.0]
         """
-        if name not in self._store.about.columns:
-            raise InputError(f"'{name}' is not a column: there are {', '.join(self._store.about.columns)}")
-        return np.array([row[0] for row in self._store.rows(name)], dtype=float)
+        if name not in (columns := (*self.names, *self.results)):
+            raise InputError(f"'{name}' is not a column: there are {', '.join(columns)}")
+        return np.array(self.table[name])
 
-    @property
-    def failures(self) -> Iterator[PointWithoutResults]:
-        """The points that failed, in order."""
-        return self._without_results("failed")
-
-    @property
-    def undetermined(self) -> Iterator[PointWithoutResults]:
-        """The points without results because all their workers died, in order."""
-        return self._without_results("undetermined")
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Warnings, each kind once, with the ranges of its numbers and the number of points that have it."""
-        count = len(self)
-        # Points that were computed again after their rows were lost were counted twice.
-        return counted(((text, min(points, count)) for text, points in self._store.notes()), count, "points")
-
-    def extreme(self, name: str, *, largest: bool = False) -> Extreme | None:
-        """Return the least or the largest value of a result, or None if no point has results.
+    def extreme(self, name: str, *, largest: bool = False) -> dict[str, float] | None:
+        """Return the point, quantities and results where a column is least or largest; None if every point failed.
 
         Example:
             >>> from concurrent.futures import ThreadPoolExecutor
             >>> import plough_opt as po
             >>> with ThreadPoolExecutor(1) as pool:
             ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
-            >>> swept.extreme("y", largest=True).value
-            9.0
+            >>> swept.extreme("y", largest=True)
+            {'point': 1, 'x': 3.0, 'y': 9.0}
         """
-        if name not in self.results:
-            raise InputError(f"'{name}' is not a result: there are {', '.join(self.results)}")
-        row: tuple[Any, ...] | None = self._store.extreme(name, largest)
-        if row is None:
+        values = self.column(name)
+        if not np.isfinite(values).any():
             return None
-        value, point, *values = row
-        return Extreme(value, point, dict(zip(self.names, values, strict=True)))
+        row = self.table[np.nanargmax(values) if largest else np.nanargmin(values)]
+        return {column: row[column].item() for column in ("point", *self.names, *self.results)}
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Warnings, each kind once, with the ranges of its numbers and the number of points that have it."""
+        kinds: Counted = {}
+        for texts in filter(None, self.table["warnings"]):
+            count(kinds, texts.split(BETWEEN))
+        return counted([(text, points) for text, _, points in kinds.values()], len(self), "points")
 
     def page(self) -> Page:
         """Return the range of every result with its points, the first failures, and the warnings.
@@ -232,43 +179,32 @@ class Sweep(Readable, AbstractContextManager["Sweep"]):
             >>> swept.page().heading
             '2 points, 0 failed'
         """
-        stored, failed, undetermined = self._store.counts()
-        also = f", {undetermined} undetermined" if undetermined else ""
         table = Grid.of("", "result", "least", "at", "largest", "at ", left=("at", "at "))
-        for name, least, largest in self._ranges():
-            display = self.origin.display(name, self.units.get(name, ""), least.value, largest.value)
-            texts = [display.text(end.value) for end in (least, largest)]
-            places = ["everywhere", ""] if texts[0] == texts[1] else [self._place(least), self._place(largest)]
-            table.row(_short(name), texts[0], places[0], texts[1], places[1])
-        parts: list[Part] = [table] if table.rows else []
-        for state, count in zip(_LOST, (failed, undetermined), strict=True):
-            for point in itertools.islice(self._without_results(state), _QUOTED):
-                values = ", ".join(f"{key} = {self._text(key, value)}" for key, value in point.values.items())
-                parts.append(f"{state} at {values}: {point.reason}")
-            if count > _QUOTED:
-                parts.append(f"... and {count - _QUOTED} more {state}: --csv writes all reasons")
-        there = f"; {self.already} points were stored before" if self.already else ""
-        footer = f"{self.how[:1].upper()}{self.how[1:]}; stored in {self.path}{there}" if self.how else ""
-        return Page(f"{stored} points, {failed} failed{also}", tuple(parts), self.notes, footer, self.origin.title)
-
-    def _ranges(self) -> Iterator[tuple[str, Extreme, Extreme]]:
-        """Yield each result with its least and largest value, if any point has results."""
         for name in self.results:
-            if (least := self.extreme(name)) and (largest := self.extreme(name, largest=True)):
-                yield name, least, largest
+            ends = [end for end in (self.extreme(name), self.extreme(name, largest=True)) if end]
+            if ends:
+                display = self._display(name, *(end[name] for end in ends))
+                least, largest = (display.text(end[name]) for end in ends)
+                places = ["everywhere", ""] if least == largest else ["\n".join(self._place(end)) for end in ends]
+                table.row(name.rpartition(".")[2], least, places[0], largest, places[1])
+        lost = self.table[self.table["reason"] != ""]
+        quoted = [f"failed at {', '.join(self._place(row))}: {row['reason']}" for row in lost[:3]]
+        more = [f"... and {len(lost) - 3} more failed: the file has all reasons"] if len(lost) > 3 else []
+        footer = f"{self.how}; stored in {self.path}" if self.how and self.path else self.how
+        parts: tuple[Part, ...] = (*([table] if table.rows else []), *quoted, *more)
+        return Page(f"{len(self)} points, {self.failed} failed", parts, self.notes, footer, self.origin.title)
 
-    def _place(self, end: Extreme) -> str:
-        return "\n".join(f"{_short(key)} {self._text(key, value)}" for key, value in end.values.items())
+    def _display(self, name: str, *values: float) -> Display:
+        return self.origin.display(name, self.units.get(name, ""), *values)
 
-    def _text(self, name: str, value: float) -> str:
-        return self.origin.display(name, self.units.get(name, ""), value).text(value)
+    def _place(self, row: Any) -> list[str]:
+        """Return the quantities of a row in words."""
+        return [f"{name.rpartition('.')[2]} {self._display(name, row[name]).text(row[name])}" for name in self.names]
 
     def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw every result against the swept quantities.
+        """Draw the first six results, a row each, over the first four swept quantities, a column each.
 
-        With one or two swept quantities and up to 2,000 points there is a dot for each point, over the first quantity;
-        the colour shows the second. Otherwise each of the first four quantities has its column, and more points than
-        that are shown by their density.
+        Points are not connected, because there may be a resonance between them.
 
         Args:
             target: file to write (.png, .svg, .pdf), or None.
@@ -284,27 +220,21 @@ class Sweep(Readable, AbstractContextManager["Sweep"]):
             >>> swept.plot().axes[0].get_ylabel()
             'y'
         """
-        return written(_figure_of(self), target)
-
-    def shown(self, name: str) -> tuple[Array, str]:
-        """Return a column in its display unit, and its heading.
-
-        Example:
-            >>> from concurrent.futures import ThreadPoolExecutor
-            >>> import plough_opt as po
-            >>> with ThreadPoolExecutor(1) as pool:
-            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [0.1, 0.3]}, executor=pool, units={"x": "m"})
-            >>> swept.shown("x")[1]
-            'x [m]'
-        """
-        values = self.column(name)
-        display = self.origin.display(name, self.units.get(name, ""), *values[np.isfinite(values)].tolist())
-        return values / display.factor, display.heading(called(name))
+        results, names = self.results[:6], self.names[:4]
+        figure, panels = figure_with_panels(len(results) * len(names), len(names), (3.6, 2.4))
+        for axes, pair in zip(panels, itertools.product(results, names), strict=True):
+            columns = [self.column(name) for name in pair]
+            units = [self._display(n, *x[np.isfinite(x)].tolist()) for n, x in zip(pair, columns, strict=True)]
+            values, places = (x / unit.factor for x, unit in zip(columns, units, strict=True))
+            axes.scatter(places, values, s=14 if len(self) < 1000 else 2, color=COLOURS[0], rasterized=len(self) > 1000)
+            label, heading = (unit.heading(called(name)) for name, unit in zip(pair, units, strict=True))
+            axes.set(xlabel=heading, ylabel=label, xscale=scale_of(places))
+            if (largest := np.nanmax(values, initial=0.0)) and largest - np.nanmin(values) < CONSTANT * largest:
+                axes.set_ylim(0.0, 1.2 * largest)  # so that the rounding of a constant is not magnified
+        return written(figure, target)
 
     def to_json(self) -> str:
-        """Return a summary as JSON text: the range of every result in SI units, and the points at its ends.
-
-        The first thousand failed and the first thousand undetermined points are listed with their reasons.
+        """Return a summary as JSON text: where every result is least and largest, SI, and why points failed.
 
         Example:
             >>> import json
@@ -315,19 +245,15 @@ class Sweep(Readable, AbstractContextManager["Sweep"]):
             >>> json.loads(swept.to_json())["points"]
             2
         """
-        ranges = {name: {"least": vars(least), "largest": vars(largest)} for name, least, largest in self._ranges()}
-        lost: dict[str, Any] = {}
-        for state in _LOST:
-            lost[state] = [vars(point) for point in itertools.islice(self._without_results(state), _LISTED)]
-        summary = {
-            "schema": 1, "kind": "sweep", "title": self.origin.title, "points": len(self), "complete": self.complete,
-            "units": self.units, "results": ranges, **lost, "notes": self.notes, "question": self.question,
-            "store": None if self.path is None else str(self.path),
-        }  # fmt: skip
-        return json_text(summary)
+        ends = {
+            name: {"least": self.extreme(name), "largest": self.extreme(name, largest=True)} for name in self.results
+        }
+        head = {"schema": 1, "kind": "sweep", "title": self.origin.title, "points": len(self), "units": self.units}
+        failed = {str(point): reason for point, reason in self.failures.items()}
+        return json_text({**head, "results": ends, "failed": failed, "notes": self.notes})
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each point: quantities and results in SI units, NaN where there are no results.
+        """Return `table` as a data frame, with the units in ``attrs["units"]``.
 
         Raises:
             InputError: pandas is not installed.
@@ -340,13 +266,10 @@ class Sweep(Readable, AbstractContextManager["Sweep"]):
             >>> swept.to_dataframe()["y"].tolist()
             [1.0, 9.0]
         """
-        optional("pandas")  # before all points are read
-        table = self.table
-        units = {name: unit for name, unit in self.units.items() if name in self._store.about.columns}
-        return data_frame({name: table[name] for name in table.dtype.names or ()}, units)
+        return data_frame({name: self.table[name] for name in self.table.dtype.names or ()}, self.units)
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write a row for each point: its number, quantities and results in SI units, and why it has no results if so.
+        """Write `table` into a file from which `load` reads it.
 
         Raises:
             InputError: the path cannot be written.
@@ -359,128 +282,32 @@ class Sweep(Readable, AbstractContextManager["Sweep"]):
             ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
             >>> with tempfile.TemporaryDirectory() as folder:
             ...     lines = swept.to_csv(f"{folder}/swept.csv").read_text().splitlines()
-            >>> lines[0], lines[2]
-            ('point,x,y,reason', '1,3.0,9.0,')
+            >>> lines[0]
+            'point,x,question,y,warnings,reason'
         """
-        columns = self._store.about.columns
-        headings = (Display(self.units.get(name, ""), 1.0).heading(name) for name in columns)
-        rows = ([*row, f"undetermined: {reason}" if state == "undetermined" else reason]
-                for *row, state, reason in self._store.rows("point", *columns, "state", "reason"))  # fmt: skip
-        return write_table(path, itertools.chain([["point", *headings, "reason"]], rows))
-
-    def to_npz(self, path: str | Path) -> Path:
-        """Write an array for each column, under its name; in the name ``_`` stands for a slash, a backslash or a colon.
-
-        ``failed`` holds the numbers of the failed points, ``reasons`` the reasons, and ``undetermined`` the numbers of
-        the undetermined points.
-
-        Raises:
-            InputError: the path cannot be written.
-
-        Example:
-            >>> import tempfile
-            >>> from concurrent.futures import ThreadPoolExecutor
-            >>> import numpy as np
-            >>> import plough_opt as po
-            >>> with ThreadPoolExecutor(1) as pool:
-            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
-            >>> with tempfile.TemporaryDirectory() as folder, np.load(swept.to_npz(f"{folder}/swept.npz")) as arrays:
-            ...     print(arrays["y"])
-            [1. 9.]
-        """
-        stored, failed, undetermined = self._store.counts()
-        longest = max((len(failure.reason) for failure in self.failures), default=1)
-        numbers = {name: (np.nan if row[0] is None else row[0] for row in self._store.rows(name))
-                   for name in self._store.about.columns}  # fmt: skip
-
-        def write(file: IO[bytes]) -> None:
-            with zipfile.ZipFile(file, "w", allowZip64=True) as archive:
-                _write_array(archive, "point", "<i8", stored, (row[0] for row in self._store.rows("point")))
-                for member, column in zip(_members(numbers), numbers.values(), strict=True):
-                    _write_array(archive, member, "<f8", stored, column)
-                _write_array(archive, "failed", "<i8", failed, (lost.point for lost in self.failures))
-                _write_array(archive, "undetermined", "<i8", undetermined, (lost.point for lost in self.undetermined))
-                _write_array(archive, "reasons", f"<U{longest}", failed, (lost.reason for lost in self.failures))
-
-        return write_file(path, "table", write)
-
-    def _without_results(self, state: State) -> Iterator[PointWithoutResults]:
-        for point, reason, *values in self._store.rows("point", "reason", *self.names, where=state):
-            yield PointWithoutResults(point, dict(zip(self.names, values, strict=True)), reason)
+        return write_file(path, "table", lines([headings(self.names, self.results, self.units), *self.table.tolist()]))
 
 
-def _figure_of(swept: Sweep) -> Figure:
-    """Draw every result over the first swept quantity, or over each of them if there are more than two or many points.
-
-    Points are not connected, because there may be a resonance between them.
-    """
-    names, keys = swept.results[:_MOST_ROWS], swept.names
-    if len(swept) > _MOST_DOTS or len(keys) > 2:
-        return _figure_of_many(swept, names, keys[:_MOST_COLUMNS])
-    figure, panels = figure_with_panels(len(names), 2, (5.0, 3.2))
-    colours: dict[str, Any] = {"color": COLOURS[0]}
-    if len(keys) > 1:
-        shades, shades_label = swept.shown(keys[1])
-        colours = {"c": shades, "cmap": "viridis", "norm": scale_of(shades)}
-    for axes, name in zip(panels, names, strict=True):
-        points = _draw_points(axes, swept, keys[0], name, colours)
-    if len(keys) > 1 and names:
-        figure.colorbar(points, ax=panels, label=shades_label)
-    return figure
+def lines(rows: Iterable[Sequence[object]]) -> str:
+    """Return rows as lines of a CSV file; numbers have all their digits."""
+    text = io.StringIO(newline="")
+    signs = ("=", "+", "-", "@")  # with which a text would be a formula of a spreadsheet
+    texts = ([f"'{cell}" if isinstance(cell, str) and cell.startswith(signs) else cell for cell in row] for row in rows)
+    csv.writer(text, lineterminator="\n").writerows(texts)
+    return text.getvalue()
 
 
-def _figure_of_many(swept: Sweep, names: Sequence[str], keys: Sequence[str]) -> Figure:
-    """Draw each result in a row and each swept quantity in a column; many points as their density."""
-    figure, panels = figure_with_panels(len(names) * len(keys), len(keys), (3.6, 2.4))
-    for axes, (name, key) in zip(panels, itertools.product(names, keys), strict=True):
-        _draw_points(axes, swept, key, name, {"color": COLOURS[0]})
-        axes.label_outer()
-    if len(swept) > _MOST_DOTS:
-        figure.suptitle("darker cells hold more points, on a logarithmic scale")
-    return figure
+def headings(names: Sequence[str], results: Sequence[str], units: Mapping[str, str]) -> list[str]:
+    """Return the headings of a file's columns."""
+    before, after = ([Display(units.get(name, ""), 1.0).heading(name) for name in part] for part in (names, results))
+    return ["point", *before, "question", *after, "warnings", "reason"]
 
 
-def _draw_points(axes: Axes, swept: Sweep, key: str, name: str, colours: Mapping[str, Any]) -> Any:
-    """Draw a result over a swept quantity in one panel: a dot for each point, or the density of many."""
-    (places, heading), (values, label) = swept.shown(key), swept.shown(name)
-    axes.set(xlabel=heading, ylabel=label)
-    scale, finite = scale_of(places), np.isfinite(values)
-    if len(swept) > _MOST_DOTS and finite.any():
-        at = places[finite], values[finite]
-        look: Any = {"bins": "log", "mincnt": 1, "cmap": "Blues", "linewidths": 0.0}
-        points: Any = axes.hexbin(*at, gridsize=_CELLS, xscale=scale, **look)
-    else:
-        points = axes.scatter(places, values, s=14, **colours)
-        axes.set_xscale(scale)
-    # Show a constant result from 0, so that its rounding is not magnified.
-    if finite.any() and np.max(values[finite]) > 0.0:
-        largest = float(np.max(np.abs(values[finite])))
-        if np.ptp(values[finite]) < CONSTANT * largest:
-            axes.set_ylim(0.0, 1.2 * largest)
-    return points
-
-
-def _short(key: str) -> str:
-    """Return a key without its table, for a narrow column."""
-    return key.rpartition(".")[2]
-
-
-def _members(names: Iterable[str]) -> list[str]:
-    """Return names for the members of an archive, all different; none leads out of the folder where it is unpacked."""
-    members: list[str] = []
+def check_columns(names: Sequence[str]) -> None:
+    """Raise InputError if a name cannot be that of a column, or is given twice or reserved; case is ignored."""
+    folded = [str(name).casefold() for name in (*_FIXED, *names)]
     for name in names:
-        plain = re.sub(r"[/\\:]", "_", name)
-        while plain.casefold() in {other.casefold() for other in (*members, *RESERVED)}:
-            plain += "_"
-        members.append(plain)
-    return members
-
-
-def _write_array(archive: zipfile.ZipFile, name: str, kind: str, count: int, values: Iterator[Any]) -> None:
-    """Write one array of an archive, with only a part of it in memory at once; texts are compressed."""
-    entry = zipfile.ZipInfo(f"{name}.npy")
-    entry.compress_type = zipfile.ZIP_DEFLATED if kind.startswith("<U") else zipfile.ZIP_STORED
-    with archive.open(entry, "w", force_zip64=True) as file:
-        npy.write_array_header_1_0(file, {"descr": kind, "fortran_order": False, "shape": (count,)})
-        while part := list(itertools.islice(values, _AT_ONCE)):
-            file.write(np.array(part, dtype=kind).tobytes())
+        if not isinstance(name, str) or not re.fullmatch(r'\w[^][,;"]*', name) or not name.isprintable():
+            raise InputError(f"{shown(name)} cannot name a column: begin with a letter, and use no brackets and commas")
+        if folded.count(name.casefold()) > 1:
+            raise InputError(f"'{name}' cannot name a column: it is used twice, or reserved ({', '.join(_FIXED)})")

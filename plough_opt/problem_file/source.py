@@ -23,7 +23,7 @@ from plough_opt.studies.sweep.points import Axis, Range, axis_of
 Keys = tuple[str, ...]
 
 # Type of a pydantic error -> the rest of a sentence that begins with the key.
-_SCHEMA_MESSAGES = {
+_SCHEMA_MESSAGES: Final = {
     **dict.fromkeys(("model_type", "dict_type", "model_attributes_type"), "must be a table of keys, not {written}"),
     "bool_type": "= {written} must be true or false, without quotes",
     "int_type": "= {written} must be a whole number, without quotes",
@@ -31,29 +31,24 @@ _SCHEMA_MESSAGES = {
     "string_type": "= {written} must be a text in quotes",
     "greater_than_equal": "= {written} must be at least {ge}",
     "less_than_equal": "= {written} must be at most {le}",
+    "missing": "is missing: add it",
 }
-_QUOTED = re.compile(r"'([^']*)'")
-MOST_TABLES: Final = 8
-"""Nesting depth of tables and lists that a problem file may have; the schema needs four."""
-# Strings and comments (in which brackets and line ends do not count), brackets, and line ends.
-_TOKEN: Final = re.compile(
-    r'"""(?:\\.|[^\\])*?"{3,5}'
-    r"|'''.*?'{3,5}"
-    r'|"(?:\\.|[^"\\\n])*"'
-    r"|'[^'\n]*'"
-    r"|\#[^\n]*"
-    r"|[\[\]{}\n]",
-    re.DOTALL,
+# What the parser says -> what to do about it.
+_TOML_REMEDIES: Final = (
+    (r"Cannot (?:declare|mutate|redefine)", "a table appears twice: join the two"),
+    (r"Cannot overwrite|Duplicate", "a key appears twice: remove one of the two"),
+    (r"", 'write each key on its own line, as tow_speed = "7.2 km/h", with text in quotes'),
 )
 # A number with a decimal comma where TOML expects a value.
 _DECIMAL_COMMA: Final = re.compile(r"^[^#\"']*=\s*([+-]?[0-9]+,[0-9]+)(?![\w\"'])")
+MOST_TABLES: Final = 8
+"""Nesting depth of tables and lists that a problem file may have; the schema needs four."""
 # Size limits: far above any file written by hand, and low enough that any content is read within a second.
 _MAX_BYTES: Final = 100_000
 _MAX_LINE_LENGTH: Final = 1_000  # below the 4300 digits beyond which Python refuses to parse an integer
 _MAX_INTEGER_BITS: Final = 1_024  # an integer with more bits exceeds the largest float
 # Longer lists of mistakes usually repeat one mistake.
 _MAX_LISTED: Final = 20
-TOO_DEEP: Final = f"tables or lists are nested more than {MOST_TABLES} deep: write them flat"
 
 
 class Source:
@@ -65,7 +60,6 @@ class Source:
         text: the text without byte order mark, its lines ended by single line feeds.
         data: the parsed tables, with overrides applied.
         overridden: path of each key that an override set -> the override as the user wrote it.
-        begun: path of each table that an override created -> that override.
         read_files: name of each data file, as the problem file writes it -> its text.
     """
 
@@ -75,30 +69,15 @@ class Source:
         Raises:
             InputError: the text is not TOML or exceeds a size limit; the message gives the line.
         """
-        self.name = name
-        self.original = text
+        self.name, self.original = name, text
         self.text = text.removeprefix(BYTE_ORDER_MARK).replace("\r\n", "\n")
         self.overridden: dict[Keys, str] = {}
-        self.begun: dict[Keys, str] = {}
         self.read_files: dict[str, str] = {}
         self._noted: list[InputError] = []
-        self._unlisted = 0  # schema errors beyond the longest list
         for number, line in enumerate(self.text.split("\n"), start=1):
             if len(line) > _MAX_LINE_LENGTH:
                 raise InputError(f"{name}, line {number}: {len(line)} characters; at most {_MAX_LINE_LENGTH}: split it")
-        if (line_too_deep := nested_line(self.text)) is not None:
-            raise InputError(f"{name}, line {line_too_deep}: {TOO_DEEP}")
-        try:
-            self.data: dict[str, Any] = tomllib.loads(self.text)
-        except tomllib.TOMLDecodeError as error:
-            at = re.search(r"at line (\d+)", str(error))
-            lines = self.text.splitlines() or [""]
-            number = int(at[1]) if at else len(lines)
-            comma = _DECIMAL_COMMA.search(lines[min(number, len(lines)) - 1])
-            remedy = _with_remedy(str(error).split(" (at")[0])
-            if comma is not None:
-                remedy = f"{comma[1]} has a decimal comma: write {comma[1].replace(',', '.')}"
-            raise InputError(f"{name}, line {number}: not valid TOML: {remedy}") from None
+        self.data: dict[str, Any] = parsed_toml(self.text, name)
         if wrong := unreadable(self.data):
             raise self.error(*wrong)
 
@@ -113,16 +92,35 @@ class Source:
         missing = "plough-opt init FILE writes one"
         return cls(read_text(path, "a problem file", ".toml", _MAX_BYTES, missing), str(path))
 
-    def line_of(self, keys: Sequence[str]) -> int | None:
-        """Return the line on which a key begins, or else the line of the innermost table around it that is found."""
+    def line_of(self, keys: Sequence[str]) -> int:
+        """Return the line on which a key begins, or else the innermost table around it that is found; 0 if none is."""
         places = (".".join(keys[:count]) for count in range(len(keys), 0, -1))
-        return next((self._line_of[place] for place in places if place in self._line_of), None)
+        return next((self._line_of[place] for place in places if place in self._line_of), 0)
 
     @cached_property
     def _line_of(self) -> dict[str, int]:
-        return lines_of(self.text)
+        """Dotted name of each key and table, however the text writes it -> the line on which it begins."""
+        found: dict[str, int] = {}
+        table: Keys = ()
+        statement, begun = "", 1
+        for number, line in enumerate(self.text.split("\n"), start=1):
+            statement += f"{line}\n"
+            try:
+                parsed = tomllib.loads(statement)
+            except tomllib.TOMLDecodeError:  # it goes on in the next line
+                continue
+            paths = [*_paths(parsed)]
+            if paths and statement.lstrip().startswith("["):
+                table = ()
+            for path in paths:
+                for count in range(1, len(table) + len(path) + 1):
+                    found.setdefault(".".join((*table, *path)[:count]), begun)
+            if paths and statement.lstrip().startswith("["):
+                table = max(paths, key=len)
+            statement, begun = "", number + 1
+        return found
 
-    def written(self, key: str) -> object:
+    def written(self, key: str) -> Any:
         """Return the value of a dotted key as the file writes it, or None."""
         return entry_at(self.data, key)
 
@@ -133,7 +131,7 @@ class Source:
             if path == tuple(keys[: len(path)]) or (within_entry and path[:2] == tuple(keys) and path[2] != "log"):
                 return PlacedError(f"--set {text}: {message}", 0)
         line = self.line_of(keys)
-        return PlacedError(f"{self.name}{'' if line is None else f', line {line}'}: {message}", line or 0)
+        return PlacedError(f"{self.name}{f', line {line}' if line else ''}: {message}", line)
 
     @contextlib.contextmanager
     def noting(self, keys: Sequence[str], prefix: str = "") -> Iterator[None]:
@@ -177,7 +175,7 @@ class Source:
     def raise_noted(self) -> None:
         """Raise one InputError that lists all noted mistakes in order of their lines, if there are any."""
         line_of = {str(error): getattr(error, "line", 0) for error in self._noted}
-        raise_listed(sorted(line_of, key=line_of.__getitem__), _MAX_LISTED, self._unlisted)
+        raise_listed(sorted(line_of, key=line_of.__getitem__), _MAX_LISTED)
 
     def note_schema(self, error: ValidationError, valid: Callable[[Keys], Sequence[str]]) -> None:
         """Note every error that the schema found, with its line.
@@ -186,136 +184,34 @@ class Source:
             error: the errors of the schema.
             valid: path of a table -> its valid keys, for suggestions.
         """
-        # A union reports one error for each alternative; the first is enough.
-        items = list({_keys(item): item for item in reversed(error.errors())}.values())
-        items = sorted(items, key=lambda item: self.line_of(_keys(item)) or 0)
-        self._unlisted += len(items[_MAX_LISTED:])
-        items = items[:_MAX_LISTED]
-        suggested = set()
-        for *table, key in (_keys(item) for item in items if item["type"] == "extra_forbidden"):
-            close = difflib.get_close_matches(key, valid(tuple(table)), n=2, cutoff=0.55)
-            suggested |= {(*table, name) for name in close}
-        for item in items:
-            # A misspelt key is reported as unknown; do not report the key that it stands for as missing too.
-            if item["type"] != "missing" or _keys(item) not in suggested:
-                self._noted.append(self._explained(item, valid))
-
-    def _explained(self, item: Any, valid: Callable[[Keys], Sequence[str]]) -> InputError:
-        """Return one error of the schema in plain words, with what to do about it."""
-        keys, kind, written = _keys(item), item["type"], short(repr(item["input"]))
-        dotted = ".".join(keys)
-        if kind == "extra_forbidden":
-            return self.error(keys, f"'{dotted}' is not a known key: {nearest(keys[-1], valid(keys[:-1]))}")
-        if kind == "missing":
-            began = next((text for path, text in self.begun.items() if path == keys[: len(path)]), None)
-            if began is not None:
-                return PlacedError(f"--set {began}: '{dotted}' is missing: set it too", 0)
-            return self.error(keys, f"'{dotted}' is missing: add it")
-        if kind == "literal_error":
-            choices = nearest(str(item["input"]), _QUOTED.findall(item["ctx"]["expected"]))
-            return self.error(keys, f"'{dotted}' = {written} is unknown: {choices}")
-        if words := _SCHEMA_MESSAGES.get(kind):
-            return self.error(keys, f"'{dotted}' {words.format(written=written, **item.get('ctx', {}))}")
-        message = item["msg"].removeprefix("Value error, ")
-        joint = " " if message.startswith(("=", "is not", "has ")) else ": "
-        return self.error(keys, f"'{dotted}'{joint}{message[0].lower() + message[1:]}")
+        # A union reports one error for each alternative, whose name it adds to the path; the first is enough.
+        items = {tuple(str(key) for key in item["loc"] if key not in ("str", "int", "float")): item
+                 for item in reversed(error.errors())}  # fmt: skip
+        unknown = [keys for keys, item in items.items() if item["type"] == "extra_forbidden"]
+        # A misspelt key is reported as unknown; do not report the key that it stands for as missing too.
+        meant = {(*keys[:-1], name) for keys in unknown[:_MAX_LISTED]
+                 for name in difflib.get_close_matches(keys[-1], valid(keys[:-1]), n=2, cutoff=0.55)}  # fmt: skip
+        for keys, item in items.items():
+            beside = [text for path, text in self.overridden.items() if path[:-1] == keys[:-1]]
+            if item["type"] == "missing" and beside:
+                self._noted.append(PlacedError(f"--set {beside[0]}: '{'.'.join(keys)}' is missing: set it too", 0))
+            elif item["type"] != "missing" or keys not in meant:
+                self.note(keys, f"'{'.'.join(keys)}'{_explained(keys, item, valid)}")
 
 
-def entry_at(data: Any, key: str) -> Any:
-    """Return the value of a dotted key in nested tables, or None."""
-    for part in key.split("."):
-        data = data.get(part) if isinstance(data, dict) else None
-    return data
-
-
-def _with_remedy(message: str) -> str:
-    """Return a message of the TOML parser with what to do about it."""
-    repeated = re.search(r"Cannot (?:declare|mutate|redefine)[^(]*\((.*)\)", message)
-    if repeated is not None:
-        name = ".".join(re.findall(r"'([^']*)'", repeated[1]))
-        return f"the table '{short(name)}' appears twice: join the two"
-    if message == "Cannot overwrite a value" or message.startswith("Duplicate"):
-        return "a key appears twice: remove one of the two"
-    return f'{short(message, 100)}; write each key on its own line, as tow_speed = "7.2 km/h", with text in quotes'
-
-
-def unreadable(data: Any) -> tuple[Keys, str] | None:
-    """Return the path and description of a parsed value that cannot be printed or computed with, or None."""
-    rest: list[tuple[Keys, Any]] = [((), data)]
-    while rest:  # a loop, because deep nesting would exhaust recursion
-        keys, value = rest.pop()
-        if len(keys) > MOST_TABLES:
-            return keys[:MOST_TABLES], TOO_DEEP
-        if isinstance(value, int) and value.bit_length() > _MAX_INTEGER_BITS:
-            return keys, f"'{'.'.join(keys)}' is larger than any number that can be computed with: check it"
-        for text in (*keys[-1:], value):
-            if isinstance(text, str) and (wrong := unprintable(text)) is not None:
-                return keys, f"'{'.'.join(keys)}' holds {wrong}, a character that cannot be printed: remove it"
-        inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-        rest += [((*keys, str(name)), one) for name, one in inner]
-    return None
-
-
-def lines_of(text: str) -> dict[str, int]:
-    """Return the line on which each key and table begins.
-
-    Args:
-        text: valid TOML, its lines ended by single line feeds.
-
-    Returns:
-        Full dotted name of each key and table, however the text writes it -> its line.
-    """
-    found: dict[str, int] = {}
-    table: tuple[str, ...] = ()
-    for line, statement in _statements(text):
-        parsed = tomllib.loads(statement)
-        header = statement.startswith("[")
-        if header:
-            table = ()
-        for path in _paths(parsed):
-            for count in range(1, len(table) + len(path) + 1):
-                found.setdefault(".".join((*table, *path)[:count]), line)
-        if header:
-            table = max(_paths(parsed), key=len)
-    return found
-
-
-def nested_line(text: str) -> int | None:
-    """Return the first line of a TOML text on which more than `MOST_TABLES` brackets are open, or None."""
-    return next((line for _, line, depth in _tokens(text) if depth > MOST_TABLES), None)
-
-
-def _tokens(text: str) -> Iterator[tuple[re.Match[str], int, int]]:
-    """Yield each token of a TOML text with its line, and the number of brackets that are open after it."""
-    depth, line = 0, 1
-    for token in _TOKEN.finditer(text):
-        depth += (token[0] in "[{") - (token[0] in "]}")
-        yield token, line, depth
-        line += token[0].count("\n")
-
-
-def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield the line and text of each statement: a key with its value, or a table heading."""
-    begin, first = 0, 1
-    for token, line, depth in _tokens(f"{text}\n"):
-        if token[0] == "\n" and depth == 0:
-            statement = text[begin : token.start()].strip()
-            if statement and not statement.startswith("#"):
-                yield first, statement
-            begin, first = token.end(), line + 1
-
-
-def _paths(parsed: Any, before: Sequence[str] = ()) -> Iterator[tuple[str, ...]]:
-    """Yield the path of each value and table, down to the nesting limit."""
-    if len(before) > MOST_TABLES:
-        return
-    if isinstance(parsed, list):  # an array of tables, from a heading in double brackets
-        for one in parsed:
-            yield from _paths(one, before)
-    elif isinstance(parsed, dict):
-        for name, value in parsed.items():
-            yield (*before, name)
-            yield from _paths(value, (*before, name))
+def _explained(keys: Keys, item: Any, valid: Callable[[Keys], Sequence[str]]) -> str:
+    """Return one error of the schema in plain words, with what to do about it, to follow the key."""
+    written = short(repr(item["input"]))
+    if item["type"] == "extra_forbidden":
+        return f" is not a known key: {nearest(keys[-1], valid(keys[:-1]))}"
+    if item["type"] == "literal_error":
+        choices = re.findall(r"'([^']*)'", item["ctx"]["expected"])
+        return f" = {written} is unknown: {nearest(str(item['input']), choices)}"
+    if words := _SCHEMA_MESSAGES.get(item["type"]):
+        return f" {words.format(written=written, **item.get('ctx', {}))}"
+    message = item["msg"].removeprefix("Value error, ")
+    joint = " " if message.startswith(("=", "is not", "has ")) else ": "
+    return f"{joint}{message[0].lower() + message[1:]}"
 
 
 class PlacedError(InputError):
@@ -326,9 +222,57 @@ class PlacedError(InputError):
         self.line = line
 
 
-def _keys(item: Any) -> Keys:
-    """Return the path of a schema error, without the alternatives of a union that pydantic adds to it."""
-    return tuple(str(key) for key in item["loc"] if key not in ("str", "int", "float"))
+def parsed_toml(text: str, name: str) -> dict[str, Any]:
+    """Return the tables of a TOML text; raise InputError that gives the line and what to do."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"{name}: tables or lists are nested more than {MOST_TABLES} deep: write them flat") from None
+    except tomllib.TOMLDecodeError as error:
+        lines = text.splitlines() or [""]
+        at = re.search(r"at line (\d+)", str(error))
+        number = int(at[1]) if at else len(lines)
+        comma = _DECIMAL_COMMA.search(lines[min(number, len(lines)) - 1])
+        said = short(str(error).split(" (at")[0], 100)
+        remedy = f"{said}; {next(words for pattern, words in _TOML_REMEDIES if re.match(pattern, said))}"
+        if comma is not None:
+            remedy = f"{comma[1]} has a decimal comma: write {comma[1].replace(',', '.')}"
+        raise InputError(f"{name}, line {number}: not valid TOML: {remedy}") from None
+
+
+def entry_at(data: Any, key: str) -> Any:
+    """Return the value of a dotted key in nested tables, or None."""
+    for part in key.split("."):
+        data = data.get(part) if isinstance(data, dict) else None
+    return data
+
+
+def unreadable(data: Any) -> tuple[Keys, str] | None:
+    """Return the path and description of a parsed value that cannot be printed or computed with, or None."""
+    rest: list[tuple[Keys, Any]] = [((), data)]
+    while rest:  # a loop, because deep nesting would exhaust recursion
+        keys, value = rest.pop()
+        if len(keys) > MOST_TABLES:
+            return keys[:MOST_TABLES], f"tables or lists are nested more than {MOST_TABLES} deep: write them flat"
+        if isinstance(value, int) and value.bit_length() > _MAX_INTEGER_BITS:
+            return keys, f"'{'.'.join(keys)}' is larger than any number that can be computed with: check it"
+        for text in (*keys[-1:], value):
+            if isinstance(text, str) and (wrong := unprintable(text)) is not None:
+                return keys, f"'{'.'.join(keys)}' holds {wrong}, a character that cannot be printed: remove it"
+        inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        rest += [((*keys, str(name)), one) for name, one in inner]
+    return None
+
+
+def _paths(parsed: Any, before: Keys = ()) -> Iterator[Keys]:
+    """Yield the path of each value and table, down to the nesting limit."""
+    if isinstance(parsed, list):  # an array of tables, from a heading in double brackets
+        for one in parsed:
+            yield from _paths(one, before)
+    elif isinstance(parsed, dict) and len(before) <= MOST_TABLES:
+        for name, value in parsed.items():
+            yield (*before, name)
+            yield from _paths(value, (*before, name))
 
 
 _RANGE = re.compile(r"(?P<lower>.+?)\.\.(?P<upper>[^:]*?)(?::(?P<count>[^:]*?))?(?P<log>\s+log)?\s*")

@@ -47,17 +47,6 @@ _NOT_IN_CONE_INDEX = ("soil.density", "soil.youngs_modulus", "soil.poisson_ratio
 _MEASURE = re.compile(r"(?P<word>nominal|expected)|mean\s*(?P<sign>[+-])\s*(?P<factor>\d+\.?\d*|\.\d+)\s*std")
 
 
-def join_dotted(data: dict[str, Any]) -> None:
-    """Replace unquoted keys such as soil.cohesion = {...} under [uncertain] by "soil.cohesion" = {...}."""
-    table = data.get(TABLE)
-    if isinstance(table, dict) and isinstance(table.get("soil"), dict):
-        for name, entry in table.pop("soil").items():
-            own = table.get(f"soil.{name}")
-            # An override from the command line may have added keys to a table under the quoted name.
-            both = isinstance(own, dict) and isinstance(entry, dict)
-            table[f"soil.{name}"] = dict(own or {}, **entry) if both else entry
-
-
 def measure_of(text: str) -> float | None:
     """Return the k in mean + k standard deviations that a text describes: 0 for "expected", None for "nominal".
 

@@ -18,10 +18,9 @@ from plough_opt.laws import LAWS
 from plough_opt.motion.effects import OWN_EFFECTS, Effects
 from plough_opt.motion.scene import Scene, quantities_of
 from plough_opt.problem_file.problem import FileVariable, Problem
-from plough_opt.problem_file.reading import apply_override, join_dotted_variables, read_source, variable_of
+from plough_opt.problem_file.reading import apply_override, join_dotted, read_source, variable_of
 from plough_opt.problem_file.schema import CHOICES, CONTACTS, VariableTable
 from plough_opt.problem_file.source import Source
-from plough_opt.problem_file.uncertain import join_dotted
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import named_soil, soil_names
 
@@ -128,7 +127,6 @@ def tables_of(problem: Problem) -> dict[str, Any]:
     source = Source(problem.text, problem.name)
     for text in problem.overrides:
         apply_override(source, text)
-    join_dotted_variables(source.data)
     join_dotted(source.data)
     return source.data
 
@@ -136,7 +134,7 @@ def tables_of(problem: Problem) -> dict[str, Any]:
 def fixed_variables(problem: Problem) -> dict[str, FileVariable]:
     """Return the variables of a problem's file that its overrides fix, as the file declares them."""
     source = Source(problem.text, problem.name)
-    join_dotted_variables(source.data)
+    join_dotted(source.data)
     declared = {**source.data.get("variables", {})}.items()
     return {key: variable_of(source, key, VariableTable.model_validate(table)) for key, table in declared
             if key not in problem.variables}  # fmt: skip

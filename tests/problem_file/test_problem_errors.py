@@ -4,7 +4,7 @@ import re
 
 import pytest
 from helpers.commands import call
-from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed, refused_files
+from helpers.problem_files import COTTON, SUBSOILER, changed, refused_files
 
 import plough_opt as po
 from plough_opt.problem_file.sweep import ProblemSweep
@@ -101,8 +101,6 @@ def test_a_file_can_run_no_code(tmp_path, monkeypatch, refusal, place):
 
 
 # --- decimal commas, other spellings of columns, keys and units, and changes that an engineer should hear about ---
-
-FIELD = PROBLEMS / "field.toml"
 
 # --- decimal commas ---
 
@@ -238,13 +236,3 @@ def test_a_sweep_outside_the_bounds_of_a_variable_is_noted():
     outside = ProblemSweep.of(problem, {"scene.stiffness": "5..50 kN/m:2"}).notes
     assert [note for note in outside if "outside" in note and "10 kN/m" in note]
     assert ProblemSweep.of(problem, {"scene.stiffness": "15..50 kN/m:2"}).notes == ()
-
-
-def test_a_changed_soil_under_a_penetrometer_says_what_it_does_to_the_draft():
-    plain = float(po.read_problem(FIELD).scene().steady_resistance)
-    for change, unused in (("soil.name=serozem", False), ("soil.cone_index=0.5 MPa", True)):
-        (note,) = po.read_problem(FIELD, [change]).notes
-        now = float(po.read_problem(FIELD, [change]).scene().steady_resistance)
-        assert f"{plain / 1e3:.4g} kN to {now / 1e3:.4g} kN" in note
-        assert ("not used" in note) == unused
-    assert po.read_problem(FIELD, ["scene.tow_speed=6 km/h"]).notes == ()

@@ -160,10 +160,9 @@ def test_semicolon_files_may_have_decimal_commas(tmp_path):
         ("depth [cm]\tcone_index [kPa]\n0\t244,5\n", ("line 2", "comma", "point", "semicolons")),
         ("depth [cm];cone_index [kPa]\n0,5;244\n10;300.5\n", ("line 2", "line 3", "comma", "point")),
         ("depth [cm];cone_index [kPa]\n0;1.244,5\n", ("line 2", "1.244,5")),
-        # Of other columns the nearest by name or unit is proposed.
-        ("Tiefe [cm],cone_index [kPa]\n0,244\n", ("did you mean 'depth'",)),
+        # Of other columns the nearest by name is proposed.
+        ("Tiefe [cm],cone_index [kPa]\n0,244\n", ("valid names: cone_index, depth",)),
         ("dept [cm],cone_index [kPa]\n0,244\n", ("did you mean 'depth'",)),
-        ("depth [cm],Kegel [MPa]\n0,0.244\n", ("did you mean 'cone_index'",)),
     ],
 )
 def test_other_files_are_refused_with_the_remedy(tmp_path, text, pieces):

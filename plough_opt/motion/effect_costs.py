@@ -11,14 +11,14 @@ from typing import Any
 import casadi as ca
 
 from plough_opt.core.errors import InputError, IntegrationError
-from plough_opt.core.expressions import Column, as_number
+from plough_opt.core.expressions import Column, as_number, stacked
 from plough_opt.motion import simulate
 from plough_opt.motion.effects import TERMS, Effects, Entry
 from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers import plan
-from plough_opt.motion.solvers.integrators import integration
+from plough_opt.motion.solvers.integrators import integration, units
 from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS, step
 
 
@@ -118,12 +118,10 @@ def _operations(scene: Scene, duration: float | None) -> int:
         return panels * (2 * GAUSS_POINTS + MORE_POINTS) * _of_resistance(structure)
     accuracy = simulate(scene, duration).accuracy
     if accuracy.order_8:
-        steps = accuracy.steps or 1
-        return (steps + plan.coarser(steps)) * int(step(equation_of(structure)).n_instructions())
+        steps = sum(each.steps or 1 for each in (accuracy, plan.coarser(accuracy)))
+        return steps * int(step(equation_of(structure)).n_instructions())
     assert duration is not None
-    assert accuracy.tolerance is not None
-    check = replace(accuracy, tolerance=accuracy.tolerance / plan.RUN_TOLERANCE)
-    return sum(_of_adaptive(scene, duration, one) for one in (accuracy, check))
+    return sum(_of_adaptive(scene, duration, each) for each in (accuracy, plan.coarser(accuracy)))
 
 
 def _of_resistance(structure: Structure) -> int:
@@ -139,8 +137,14 @@ def _of_adaptive(scene: Scene, duration: float, accuracy: Accuracy) -> int:
     p = plan.numbers_of(scene)
     timeline = plan.timeline_of(scene, duration, plan.OUTPUTS, plan.MOST_ADAPTIVE, accuracy.method)
     solver = integration(Structure.of(scene), accuracy, timeline)
+    equation, column = solver.equation, ca.DM(solver.equation.column(p, duration))
     assert solver.sized is not None  # adaptive methods are CasADi's
-    equation = solver.equation
-    rates, events = solver.sized.evaluations(solver.equation.column(p, duration))
-    each = int(equation.rate.n_instructions())
-    return rates * each + (events * int(equation.events.n_instructions()) if equation.events is not None else 0)
+    (used,) = (part for part in solver.sized.find_functions() if part.class_name().lower() == accuracy.method)
+    sizes = equation.sizes(column)
+    first = stacked(equation.start(column[:-1]) / units(equation, sizes)[0], ca.DM.zeros(equation.squared))
+    used(x0=first, p=stacked(column, sizes))
+    stats = used.stats()
+    count = int(stats["n_call_rhsF"]) * int(equation.rate.n_instructions())
+    if equation.events is not None:
+        count += int(stats["n_call_zeroF"]) * int(equation.events.n_instructions())
+    return count

@@ -1,7 +1,5 @@
 """`simulate`: arguments are checked, numeric scenes integrated twice, symbolic scenes made into runs for designs."""
 
-import logging
-import math
 import time
 from dataclasses import replace
 from typing import Any
@@ -23,37 +21,16 @@ from plough_opt.core.expressions import (
 )
 from plough_opt.motion.effects import profile_of
 from plough_opt.motion.equation import check_strength, parameters
-from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
+from plough_opt.motion.methods import Accuracy, locating
 from plough_opt.motion.run import Checks, Run
 from plough_opt.motion.scene import Scene, duration_of
 from plough_opt.motion.solvers import checks, plan
-from plough_opt.motion.solvers.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
+from plough_opt.motion.solvers.checks import difference
 from plough_opt.motion.solvers.compiled_steps import source_of
-from plough_opt.motion.solvers.integrators import Case, Integrated, compared, integrate, quasi_static, symbolic, thinned
+from plough_opt.motion.solvers.integrators import Case, quasi_static, symbolic
 from plough_opt.motion.solvers.orbit import which_motion
-from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS, Array
-
-_LOG = logging.getLogger(__name__)
-
-# Attempts of an adaptive method to reach the wanted error, and the factor by which its tolerance is tightened at least.
-_TIGHTENINGS = 3
-_TIGHTER = 0.03
-# Attempts with steps of order 8, whose number follows from the error of the attempt before.
-_STEP_ATTEMPTS = 6
-# Factor on the outputs if the share may have stopped between two of them.
-_EVENT_REFINEMENT = 4
-# If the check is finer than the run, their difference is less than the run's error by that of the check, about a sixth.
-# Across a kink both errors are irregular: under smooth contact the difference alone was at least 1.3 times the error.
-_MARGIN_OF_CHECK = 2.0
-# Rounding of the moments at which a share stops for a thousandth of the run or less, as it grows afterwards.
-_EVENT_ROUNDING = 1e-11
-# Relative change of the parameters that shows how predictable a motion is. Rounding is about a thousandth of it.
-_PERTURBATION = 1e-12
-# Growth of a perturbation from which on a motion cannot be predicted to `WORTH_A_WARNING`.
-_SENSITIVE = 1e4
-# Relative difference from which on two motions have nothing in common.
-_UNRELATED = 0.1
-
+from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS
+from plough_opt.motion.solvers.verified import verified
 
 _DEFAULT = Accuracy()
 _holds_casadi = kept(holds_casadi)
@@ -91,10 +68,9 @@ def simulate(
     Returns:
         A numeric or symbolic `Run`.
 
-        A numeric run is integrated twice. The second run is coarser, or finer if a method is named. The largest
-        difference between the two is the ``error_estimate``. It is doubled if the second run is not the coarser one or
-        the contact has kinks. With events it is at least 1e-11, and at least the possible effect of a stop between
-        outputs that both runs may have missed. The estimate covers every result relative to its own size: mount force,
+        A numeric run is integrated by one method at two settings, which are refined until they agree. Their largest
+        difference is the ``error_estimate``; it is doubled if the second run is the finer one, as for a named method,
+        or if the contact has kinks or events. The estimate covers every result relative to its own size: mount force,
         soil resistance, deflection and speed at the outputs, hence their peaks, relative to the largest value of each;
         travel relative to its largest value or the largest deflection, whichever is larger; opening relative to the
         largest deflection; each RMS relative to itself; mean draft and mean deflection relative to themselves or the
@@ -139,7 +115,7 @@ def simulate(
         return symbolic(scene, parameters(scene), duration, accuracy, outputs)
     started = time.perf_counter()
     case = Case.of(scene, float(duration), outputs, compiled=compiled)
-    run, error, notes = verified(case, accuracy)
+    run, error, notes = (verified if scene.effects.motion else _quasi_static)(case, accuracy)
     check_strength(scene.effects.waves, (float(np.min(run.travel)), float(np.max(run.travel))))
     multipliers, settled, stability = which_motion(run) if scene.effects.orbit != "transient" else ((), None, ())
     notes = (*notes, *stability, *(interpreted(case, run) if compiled else ()))
@@ -192,27 +168,6 @@ def _read(
     return scene, found
 
 
-def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
-    """Integrate a case and its check; return the run, its estimated relative error [-] and warnings."""
-    effects = case.scene.effects
-    if not effects.motion:
-        return _quasi_static(case, accuracy)
-    wanted = accuracy.error or DEFAULT_ERROR
-    if effects.orbit != "transient":
-        checks.refuse_drifting_own(case.scene)
-    if accuracy.method == "auto":
-        checks.refuse_endless(case.scene, case.duration)
-    if accuracy.method != "auto":
-        pair = plan.named(accuracy, case.p, case.duration, case.outputs, case.structure.kinked)
-        found, error = _checked(case, *pair)
-        error, warnings = _warned(case, found, error, None)
-    else:
-        found, error = _automatic(case, wanted)
-        error, warnings = _warned(case, found, error, wanted)
-    _LOG.debug("motion by %s: estimated error %.2g", found.run.accuracy, error)
-    return thinned(found.run, case.outputs), error, (*warnings, *checks.remarks(found.run))
-
-
 def interpreted(case: Case, run: Run) -> tuple[str, ...]:
     """Return a warning if a run was to be compiled and was not."""
     if not run.scene.effects.motion:
@@ -244,157 +199,3 @@ def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str
         why = checks.unsound_own(scene, run, 0.0) or "check its quantities"
         raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: {why}")
     return run, difference(run, check), ()
-
-
-def _automatic(case: Case, wanted: float) -> tuple[Integrated, float]:
-    """Try the methods that suit a scene until one reaches the wanted error; else return the run with the least error.
-
-    Raises:
-        IntegrationError: every method failed.
-    """
-    best: tuple[Integrated, float] | None = None
-    failure: IntegrationError | None = None
-    methods = plan.suited(case.structure, case.phase)
-    if methods[0] == "dop853" and case.structure.stepped and not case.structure.kinked:
-        methods = methods[1:]
-        best, failure = _by_measured_steps(case, wanted)
-        if best is not None and (best[1] <= wanted or _hopeless(case, *best, wanted)):
-            return best
-    case = replace(case, explained=best is None)
-    for method in methods:
-        target = wanted
-        for attempt in range(1 if method == "rosenbrock" else _TIGHTENINGS):
-            try:
-                found, error = _checked(case, *plan.checked(method, target, case.p, case.duration))
-            except Escape:
-                raise
-            except IntegrationError as failed:
-                failure = failed
-                if not isinstance(failed, MissedEvent):
-                    break
-                target *= _TIGHTER
-                continue
-            if error <= wanted:
-                return found, error
-            if best is None or error < best[1]:
-                best = found, error
-            if unnoticed_stops(found.run, case.rate, 0.0) > wanted:
-                case = replace(case, event_refinement=_EVENT_REFINEMENT * case.event_refinement)
-                continue
-            if attempt and _hopeless(case, found, error, wanted):
-                return best
-            target *= min(_TIGHTER, 0.5 * wanted / error)
-    if best is not None:
-        return best
-    assert failure is not None  # each method found a run or failed
-    raise failure
-
-
-def _hopeless(case: Case, found: Integrated, error: float, wanted: float) -> bool:
-    """Return whether rounding alone changes a motion by more than the wanted error."""
-    return error > WORTH_A_WARNING and _change_by_perturbation(case, found) > _SENSITIVE * wanted
-
-
-def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, float] | None, IntegrationError | None]:
-    """Integrate by steps of order 8: first by long ones, whose error shows how many reach the wanted one.
-
-    The first number of steps of a long run does not depend on the wanted error, and a tighter one takes more: so a
-    looser error hardly ever costs more.
-
-    Returns:
-        The run that reaches the error or comes nearest, with its error, and the last failure; None for either of them
-        if there is none. Once the error does not fall with its order, no more steps are tried, and the error is that of
-        the attempt before, because the difference of two irregular errors bounds neither.
-    """
-    best: tuple[Integrated, float] | None = None
-    failure: IntegrationError | None = None
-    steps, before = plan.first_steps(case.scene, case.duration, wanted), (1, math.inf)
-    found: Integrated | None = None
-    for _ in range(_STEP_ATTEMPTS):
-        error = math.inf
-        try:
-            found, error = _checked(case, *plan.pair_of(steps), found)
-        except Escape:
-            raise
-        except IntegrationError as failed:
-            failure = failed
-        else:
-            if best is None or error < best[1]:
-                best = found, error
-            if error <= wanted:
-                break
-            if plan.has_lost_order(steps, error, *before):
-                best = best[0], max(before[1], error)
-                break
-        steps, before = plan.next_steps(steps, error, wanted), (steps, error)
-    return best, failure
-
-
-def _checked(
-    case: Case, accuracy: Accuracy, check: Accuracy, last: Integrated | None = None
-) -> tuple[Integrated, float]:
-    """Return the run by one setting, and its error as estimated from a run by another, which may be the last one."""
-    is_coarser = check.method == accuracy.method and (
-        (check.steps or 0) < (accuracy.steps or 0) or (check.tolerance or 0.0) > (accuracy.tolerance or 0.0)
-    )
-    if (pair := compared(case, accuracy, check)) is not None:
-        found, apart = pair
-    elif accuracy.adaptive and is_coarser:
-        # The finer run relates its tolerance to the sizes that the coarser one found.
-        other = integrate(case, check)
-        found = integrate(case, accuracy, other.sizes)
-        apart = _difference(case, found, other)
-    else:
-        found = integrate(case, accuracy)
-        other = last if last and last.run.accuracy == check else _check_run(case, accuracy, check, found.sizes)
-        apart = _difference(case, found, other)
-    error = apart * (1.0 if is_coarser and not case.structure.kinked else _MARGIN_OF_CHECK)
-    return found, max(error, unnoticed_stops(found.run, case.rate, error))
-
-
-def _difference(case: Case, found: Integrated, other: Integrated) -> float:
-    """Return the relative difference of two runs of a case; with events at least the rounding of these."""
-    apart = difference(thinned(found.run, case.outputs), thinned(other.run, case.outputs))
-    return max(apart, _EVENT_ROUNDING) if apart > 0.0 and case.structure.events else apart
-
-
-def _check_run(case: Case, accuracy: Accuracy, check: Accuracy, sizes: Array | None) -> Integrated:
-    """Return the run by the check's setting, or by a finer one of the run's own method if that fails."""
-    try:
-        return integrate(case, check, sizes)
-    except IntegrationError:
-        if case.structure.events or not accuracy.adaptive or accuracy.method == check.method:
-            # A check that misses an event is a failure too.
-            raise
-        # Fixed steps may be too long for what an adaptive method resolves.
-        return integrate(case, plan.finer(accuracy), sizes)
-
-
-def _warned(case: Case, found: Integrated, error: float, wanted: float | None) -> tuple[float, tuple[str, ...]]:
-    """Return the estimated error, and a warning if it exceeds the wanted one or the motion cannot be predicted."""
-    if error <= (wanted or WORTH_A_WARNING):
-        return error, ()
-    if wanted is None:
-        return error, (f"the estimated relative error is {error:.1e}: use more steps or a tighter tolerance",)
-    missed = f"the wanted relative error {wanted:.1e} was not reached"
-    # The coarse steps of an implicit method say nothing about the sensitivity of the motion itself.
-    if error > WORTH_A_WARNING and found.run.accuracy.method != "rosenbrock":
-        apart = _change_by_perturbation(case, found)
-        if apart > _SENSITIVE * _PERTURBATION:
-            # Two runs that have nothing in common give no bound on the error.
-            error = max(error, _MARGIN_OF_CHECK * apart) if apart < _UNRELATED else math.inf
-            until = f"to better than {error:.1e}" if error < math.inf else "at all"
-            return error, (
-                f"{missed}: the motion is too sensitive to be predicted {until}, because a relative change of the"
-                f" scene's quantities by {_PERTURBATION:.0e} changes it by {apart:.1e}",
-            )
-    return error, (f"{missed}: the estimate is {error:.1e}",)
-
-
-def _change_by_perturbation(case: Case, found: Integrated) -> float:
-    """Return how much a tiny change of the scene's quantities changes a motion, relatively."""
-    try:
-        other = integrate(case, found.run.accuracy, found.sizes, perturbation=_PERTURBATION)
-    except IntegrationError:
-        return math.inf
-    return _difference(case, found, other)

@@ -22,7 +22,7 @@ import plough_opt as po
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, exp, where
 from plough_opt.laws import LAWS, AsabeD497, McKyesAli, SphericalCavity, SwickPerumpral, Tine, UniversalEarthmoving
-from plough_opt.motion import simulation
+from plough_opt.motion.solvers import verified
 
 WAVE = po.StrengthWave(0.3, 0.2)
 
@@ -99,13 +99,13 @@ def test_a_resistance_in_two_parts_takes_the_steps_of_the_whole():
 def test_a_jump_leaves_equal_steps_for_a_method_that_finds_it(start, at, monkeypatch):
     jump = {"speed": lambda travel, speed: 0.0 * travel - 500.0 * where(speed > 1.9, 1.0, 0.5),
             "travel": lambda travel, speed: 500.0 * where(travel > 0.5, 1.0, 0.5) + 0.0 * speed}[at]  # fmt: skip
-    scene, counted, integrate = scene_of(own=(Own(jump),), start=start, strength_wave=WAVE), [], simulation.integrate
+    scene, counted, integrate = scene_of(own=(Own(jump),), start=start, strength_wave=WAVE), [], verified.integrate
 
     def count(case, accuracy, *given, **named):
         counted.append(accuracy.steps or 0)
         return integrate(case, accuracy, *given, **named)
 
-    monkeypatch.setattr(simulation, "integrate", count)
+    monkeypatch.setattr(verified, "integrate", count)
     run = po.simulate(scene, 1.0)
     switch = {"speed": lambda _, __, speed: speed - 1.9, "travel": lambda _, travel, __: travel - 0.5}[at]
     size = -500.0 if at == "speed" else 500.0

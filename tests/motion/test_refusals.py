@@ -357,15 +357,6 @@ def test_a_share_driven_away_while_it_enters():
     assert "the share retreats there at" in refusal(scene, 0.6)
 
 
-@pytest.mark.parametrize("start", ["equilibrium", "rest", "towed"])
-def test_countless_waves_passed_under_a_repelling_spring(start):
-    effects = {"formulation": "printed", "strength_wave": WAVE, "inertial_drag": False, "start": start}
-    scene = scene_of(mass=45.0, tow_speed=1.5, **effects)
-    assert "the strut and the soil change it" in refusal(scene, 1.5)
-    # A shorter run is accepted: the travel grows like exp(33 t) from a few centimetres.
-    assert po.simulate(scene, 0.2).error_estimate < 1e-6
-
-
 ROOTED = Own(lambda travel, speed: 100.0 * po.expressions.sqrt(0.3 - travel) + 0.0 * speed)  # no value beyond 0.3 m
 NEVER = Own(lambda travel, speed: float("nan") * speed + 0.0 * travel)
 STUCK = Holds(steady, math.inf)

@@ -15,7 +15,6 @@ from helpers.small_designs import design
 from scipy.integrate import quad
 
 import plough_opt as po
-from plough_opt.motion.solvers import checks
 from plough_opt.motion.solvers.checks import refuse_missed_event
 
 # --- the smooth one-sided contact: its limit of zero width, an independent solver, and its warnings ---
@@ -183,36 +182,6 @@ def test_a_wave_that_keeps_it_moving_has_that_derivative():
     # A forward difference is of first order.
     assert np.max(np.abs(left[1]) / size) < 2e-3
     assert np.linalg.norm(left[0] / size) / np.linalg.norm(left[1] / size) == pytest.approx(2.0, rel=0.05)
-
-
-def grazes(run):
-    return [text for text in run.warnings if "nearly stops" in text]
-
-
-def test_a_warning_names_the_first_touch():
-    run = po.simulate(grazing_scene(), 2.0)
-    (text,) = grazes(run)
-    # The mount stretches to the static force, then the share swings about the tow speed: L' = V0 (1 - cos(omega t)).
-    assert f"t = {duration(1.0):.2g}" in text
-    assert "has no derivative, and derivatives are those of slipping on" in text
-    # A stop that was not noticed there changes the speed by as much as its error; outputs add 5e-11 to that.
-    assert checks.unnoticed_stops(run, run.scene.natural_frequency, 1e-5) == pytest.approx(1e-5, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    "changes", [{"damping": 300.0}, {"breakaway": 1.2}, {"breakaway": 2.0, "damping": 50.0}], ids=str
-)
-def test_a_motion_that_stops_or_keeps_going_has_no_warning(changes):
-    assert not grazes(po.simulate(grazing_scene(inertial_drag=True, **changes), 2.0))
-
-
-def test_a_share_that_begins_to_move_behind_a_ramp_has_no_warning():
-    # At the start the speed is rounding, and below zero here.
-    soil = po.Soil(1500.0, 0.6, 3.0, 0.3, 0.5, 0.0)
-    effects = {"contact": po.StickSlip(), "tow_ramp": 0.0068, "inertial_drag": False, "added_mass": False}
-    for speed in np.linspace(0.6, 0.8, 9).tolist():
-        own = scene_of(soil, stiffness=2930.0, mass=59.2, tow_speed=speed, **effects)
-        assert not grazes(po.simulate(own, 0.00473))
 
 
 # --- the quasi-static limit against adaptive quadrature ---

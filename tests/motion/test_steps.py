@@ -16,9 +16,9 @@ from scipy.integrate import DOP853 as SCIPYS
 
 import plough_opt as po
 from plough_opt.design.model.program import error_of_derivatives
-from plough_opt.motion import simulation
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DOP853, METHODS, Tableau
+from plough_opt.motion.solvers import verified
 from plough_opt.motion.solvers.checks import difference
 from plough_opt.motion.solvers.compiled_steps import compiled_steps
 from plough_opt.motion.solvers.derivatives import jets
@@ -389,23 +389,15 @@ def test_weak_forces_keep_their_digits(name, method):
     assert max(errors.values()) <= run.error_estimate <= 3e-8, errors
 
 
-# Seeds of `wild_scenes` -> quantity with the largest error, and largest estimate. A ramp ends shortly before the end or
-# soon after the start, or a share has entered by a millionth of its height; at last the mount pulls the share back from
-# weak soil for 2/10,000 of the run, a stop that no integrator notices.
-FOUND = {
-    421: ("speed", 2e-9), 453: ("soil_resistance", 2e-9), 1282: ("force_rms", 2e-9), 1571: ("force_rms", 2e-9),
-    940: ("soil_resistance", 1e-6),
-}  # fmt: skip
+# Seeds of `wild_scenes` -> quantity with the largest error. A ramp ends shortly before the end or soon after the start,
+# or a share has entered by a millionth of its height.
+FOUND = {421: "speed", 453: "soil_resistance", 1282: "force_rms", 1571: "force_rms"}
 
 
 @pytest.mark.parametrize("seed", FOUND)
-def test_the_estimate_holds_where_a_ramp_ends_late_an_entry_has_just_begun_or_a_stop_is_missed(seed):
+def test_the_estimate_holds_where_a_ramp_ends_late_or_an_entry_has_just_begun(seed):
     ((run, errors),) = by(seed, None)
-    name, most = FOUND[seed]
-    assert errors[name] <= max(errors.values()) <= run.error_estimate < most
-    if seed == 940:
-        assert max(errors.values()) > 1e-9
-        assert [text for text in run.warnings if "nearly stops" in text]
+    assert errors[FOUND[seed]] <= max(errors.values()) <= run.error_estimate < 1e-8
 
 
 def test_the_resistance_of_a_share_that_just_entered_has_all_its_digits():
@@ -450,14 +442,6 @@ def test_a_motion_too_sensitive_to_be_predicted_carries_a_warning(contact, durat
     assert difference(run, po.simulate(beside, duration, outputs=50)) > 1e-8
 
 
-def test_an_unpredictable_motion_has_an_infinite_estimate():
-    # The soil drives the share away at a speed that depends on digits beyond the last one of its quantities.
-    scene, duration, outputs = wild_scenes.sampled(548)
-    run = po.simulate(scene, duration, outputs=outputs)
-    assert run.error_estimate == np.inf
-    assert [text for text in run.warnings if "too sensitive to be predicted at all" in text]
-
-
 @pytest.mark.parametrize("accuracy", [po.Accuracy("erk", tolerance=1e-4), po.Accuracy("dop853", steps=24)])
 def test_a_named_method_warns_of_an_error_that_matters(accuracy):
     scene = scene_of(mass=45.0, tow_speed=1.5, strength_wave=po.StrengthWave(0.3, 0.3))
@@ -476,13 +460,13 @@ FEW = 400
 @pytest.mark.parametrize("seed", [49, 183, 340, 377, 391])
 def test_a_looser_error_takes_no_more_steps(monkeypatch, seed):
     scene, duration, _ = wild_scenes.sampled(seed)
-    taken, integrate = [], simulation.integrate
+    taken, integrate = [], verified.integrate
 
     def counted(case, accuracy, *given, **named):
         taken.append(accuracy.steps or math.inf)
         return integrate(case, accuracy, *given, **named)
 
-    monkeypatch.setattr(simulation, "integrate", counted)
+    monkeypatch.setattr(verified, "integrate", counted)
     steps = []
     for error in ERRORS:
         taken.clear()

@@ -23,7 +23,18 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.checks import refuse_drifting_own, refuse_stiff_orbit
 from plough_opt.motion.solvers.compiled_steps import compiled_steps
 from plough_opt.motion.solvers.integrators import Integration, assemble, integration
-from plough_opt.motion.solvers.plan import checked, kinks_of, most_steps, phase, rates, rounded_up, steps_for, suited
+from plough_opt.motion.solvers.plan import (
+    coarser,
+    fewest_steps,
+    first_setting,
+    kinks_of,
+    most_steps,
+    phase,
+    rates,
+    rounded_up,
+    steps_for,
+    suited,
+)
 from plough_opt.motion.solvers.steps import Timeline
 
 TIGHT = 1e-12
@@ -236,7 +247,8 @@ def _tight_results(own: Integration, inputs: tuple[float, ...], check: bool) -> 
     p, duration = dict(zip(own.names, inputs[:-1], strict=True)) | {"speed_pieces": len(times)}, inputs[-1]
     total = phase(p, duration)
     kinks = kinks_of((p["ramp_time"],) if "ramp_time" in p else times, duration)
-    accuracy = checked(suited(own.structure, total)[0], TIGHT, p, duration)[int(check)]
+    accuracy = first_setting(suited(own.structure, total)[0], TIGHT, rates(p).summed * duration, fewest_steps(p))
+    accuracy = coarser(accuracy) if check else accuracy
     timeline = Timeline(outputs, accuracy.steps or most_steps(total), kinks, aligned=False)
     # Compiled steps of order 8 give the same numbers in less time.
     by_code = own.structure.stepped and accuracy.order_8

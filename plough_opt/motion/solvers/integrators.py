@@ -59,49 +59,19 @@ _QUIET = {"show_eval_warnings": False}
 
 
 @dataclass(frozen=True)
-class Sized:
-    """Run by a CasADi integrator whose absolute tolerances are relative to given sizes.
-
-    The sizes are those of w [m] and w' [m/s], of each of the `signals`, and of the RMS of those that have one.
-
-    Attributes:
-        function: (parameters with the duration last, sizes) -> results of an `Integration`.
-        expected: parameters -> sizes to expect before a run.
-        solver: CasADi's integrator.
-        given: (parameters, sizes) -> initial state and parameters of the integrator.
-    """
-
-    function: ca.Function
-    expected: ca.Function
-    solver: ca.Function
-    given: ca.Function
-
-    def evaluations(self, p: list[float]) -> tuple[int, int]:
-        """Return how often a run evaluates the rates of the equation, and its event functions.
-
-        Args:
-            p: the parameters with the duration last.
-        """
-        first, known = self.given(p, self.expected(p))
-        self.solver(x0=first, p=known)
-        stats = self.solver.stats()
-        return stats["n_call_rhsF"], stats.get("n_call_zeroF", 0)
-
-
-@dataclass(frozen=True)
 class Integration(OfEquation):
     """A run as a CasADi Function of the parameters ``names`` and, last, the duration [s].
 
     Its results are the states (w [m]; w' [m/s]) at the output times, a column each, the means of the `signals`, and the
-    mean squares about the mean of those signals that have an RMS. CasADi's integrators also provide ``sized``, in which
-    the sizes for the tolerances can be chosen.
+    mean squares about the mean of those signals that have an RMS. CasADi's integrators also provide ``sized``:
+    (parameters, sizes as in `Equation.sizes`, to which the tolerances relate) -> the same results.
     """
 
     equation: Equation
     accuracy: Accuracy
     timeline: Timeline
     function: ca.Function
-    sized: Sized | None = None
+    sized: ca.Function | None = None
 
     @property
     def results(self) -> int:
@@ -121,14 +91,14 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
     locates = timeline.moving and accuracy.locates_events
     located = equation_of(replace(structure, locates_ramp=locates and structure.ramp))
     sized = _by_casadi(located, accuracy, timeline)
-    p = ca.MX.sym("p", sized.expected.size1_in(0))
-    results = sized.function.call([p, sized.expected(p)])
+    p, _ = located.symbols(ca.MX)
+    results = sized.call([p, located.sizes(p)])
     function = ca.Function(f"run_{accuracy.method}", [p], results, {"never_inline": True})
     return Integration(equation, accuracy, timeline, function, sized)
 
 
-def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> Sized:
-    """Wrap a CasADi integrator of the scaled equation."""
+def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> ca.Function:
+    """Return a CasADi integrator of the equation, scaled by given sizes: `Integration.sized`."""
     scaled, transition = _scaled_equation(equation)
     options = _options(accuracy, timeline)
     if transition is not None:
@@ -141,19 +111,17 @@ def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> Si
         solver = ca.integrator(name, accuracy.method, scaled, 0.0, times.tolist(), options)
     p, _ = equation.symbols(ca.MX)
     sizes = ca.MX.sym("sizes", 2 + equation.averages)
-    unit, of_means, of_spreads = _units(equation, sizes)
+    unit, of_means, of_spreads = units(equation, sizes)
     first = equation.start(p[:-1])
-    given = stacked(first / unit, ca.MX.zeros(equation.squared)), stacked(p, sizes)
-    result = solver(x0=given[0], p=given[1])
+    result = solver(x0=stacked(first / unit, ca.MX.zeros(equation.squared)), p=stacked(p, sizes))
     states = result["xf"][: equation.states, read] * ca.repmat(unit, 1, timeline.outputs)
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, equation.squared, equation.count])
     means = stacked(result["xf"][equation.states :, -1], others) * of_means
-    found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
-    function = ca.Function(f"sized_{accuracy.method}", [p, sizes], found, {"never_inline": True})
-    return Sized(function, equation.sizes, solver, ca.Function("given", [p, sizes], given))
+    results = [ca.horzcat(first, states), means, spreads * of_spreads**2]
+    return ca.Function(f"sized_{accuracy.method}", [p, sizes], results, {"never_inline": True})
 
 
-def _units(equation: Equation, sizes: Any) -> tuple[Any, Any, Any]:
+def units(equation: Equation, sizes: Any) -> tuple[Any, Any, Any]:
     """Return the units of the states, of the signals and of their RMS.
 
     Those of the states are of deflection, its rate and the opening of a gap; 1 for the mode and other flags.
@@ -175,7 +143,7 @@ def _scaled_equation(equation: Equation) -> tuple[dict[str, ca.SX], ca.Function 
     x = ca.SX.sym("x", count + equation.squared)
     p, _ = equation.symbols(ca.SX)
     sizes = ca.SX.sym("sizes", 2 + equation.averages)
-    unit, of_means, of_spreads = _units(equation, sizes)
+    unit, of_means, of_spreads = units(equation, sizes)
     duration = p[-1]
     time, state = fraction * duration, x[:count] * unit
     rate, values = equation.rate(time, state, p[:-1]), equation.signals(time, state, p[:-1]) / of_means
@@ -251,7 +219,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[C
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.structure.orbit != "transient":
             raise InputError("an orbit takes MX symbols only, because it is the root of an equation: use casadi.MX")
-        if solver.sized is not None:
+        if solver.accuracy.tableau is None:
             raise InputError(f"method '{solver.accuracy.method}' takes MX symbols only: use casadi.MX, or use 'dop853'")
         return tuple(solver.function.call([inputs]))
     # Quantities are placeholders in the template, so that scenes which differ only in numbers share one Function.
@@ -394,9 +362,6 @@ def quasi_static(
     return Run(scene, duration, time, path, speed, deflection, force, force, still, still, averages, accuracy)
 
 
-# An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
-# smaller than this part of it.
-_TOO_SMALL = 0.03
 # Bisection for the time at which a motion fails ends at this relative interval, and at this part of the duration.
 _FAILURE_INTERVAL = 2e-4
 _EARLIEST_FAILURE = 1e-9
@@ -416,8 +381,6 @@ class Case(OfEquation):
         equation: the equation of motion.
         p: the equation's parameters by name.
         code: compiled steps of order 8, if requested and available.
-        event_refinement: factor on the number of outputs of a motion with events, so that none goes unnoticed.
-        explained: whether an integration that fails looks for the time and the cause.
     """
 
     scene: Scene
@@ -426,8 +389,6 @@ class Case(OfEquation):
     equation: Equation
     p: Mapping[str, float]
     code: CompiledSteps | None = None
-    event_refinement: int = 1
-    explained: bool = True
 
     @classmethod
     def of(cls, scene: Scene, duration: float, outputs: int, *, compiled: bool = False) -> Case:
@@ -443,7 +404,7 @@ class Case(OfEquation):
     @property
     def output_factor(self) -> int:
         """Factor on the requested outputs that are computed, because events between distant outputs go unnoticed."""
-        return self.event_refinement * -(-plan.OUTPUTS // self.outputs) if self.structure.events else 1
+        return -(-plan.OUTPUTS // self.outputs) if self.structure.events else 1
 
     @property
     def rate(self) -> float:
@@ -465,28 +426,12 @@ class Case(OfEquation):
         return self.rate * self.duration
 
 
-@dataclass(frozen=True)
-class Integrated:
-    """The run of one integration.
-
-    Attributes:
-        run: the run, with `Case.output_factor` times the requested outputs.
-        sizes: of the quantities to which an adaptive method relates its tolerance (see `Sized`); None for others. A
-            similar integration can use them.
-    """
-
-    run: Run
-    sizes: Array | None = None
-
-
-def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, perturbation: float = 0.0) -> Integrated:
+def integrate(case: Case, accuracy: Accuracy, *, perturbation: float = 0.0) -> Run:
     """Integrate a case by a method.
 
     Args:
         case: scene and duration.
         accuracy: method and setting.
-        sizes: `Integrated.sizes` of a similar run. Without them an adaptive method uses the expected sizes; if it finds
-            far smaller ones, which then have few digits, it integrates again with these.
         perturbation: relative change of the parameters, alternately up and down.
 
     Raises:
@@ -499,30 +444,27 @@ def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, per
     steps = plan.most_steps(case.phase) if accuracy.adaptive else max(outputs, plan.OUTPUTS)
     timeline = case.timeline(outputs, accuracy, steps)
     p = [*(value * (1.0 + perturbation * (-1.0) ** k) for k, value in enumerate(case.column[:-1])), duration]
-    if case.code is not None and accuracy.order_8 and (found := case.code(timeline, p)) is not None:
-        return Integrated(_assembled(case, timeline, found, accuracy))
-    solver = integration(case.structure, accuracy, timeline)
-    results, sizes = _sized(solver.sized, p, sizes) if solver.sized else (_attempt(solver.function, p), None)
+    results = case.code(timeline, p) if case.code is not None and accuracy.order_8 else None
+    if results is None:
+        solver = integration(case.structure, accuracy, timeline)
+        results = _attempt(solver.function, p) if solver.sized is None else _sized(solver.sized, case.equation, p)
     if results is None:
         if scene.effects.orbit != "transient":
             raise IntegrationError(without_orbit(scene))
-        if not case.explained:
-            raise IntegrationError(f"the motion of a {scene.describe()} could not be integrated")
-        raise failed_by(scene, duration, (accuracy, outputs), *_until_failure(case, solver, p))
+        raise failed_by(scene, duration, accuracy, *_until_failure(case, solver, p))
     run = _assembled(case, timeline, results, accuracy)
     if isinstance(scene.effects.contact, StickSlip):
         refuse_missed_event(run)
         refuse_weak_rest(run)
-    return Integrated(run, sizes)
+    return run if case.output_factor == 1 else _thinned(run, case.output_factor)
 
 
-def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrated, float] | None:
+def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Run, float] | None:
     """Return a run by compiled steps and its `difference` from its check, which one call integrates side by side.
 
-    The result is None if the steps are not compiled or leave results that are not finite.
+    The result is None if the steps leave results that are not finite.
     """
-    if case.code is None or not (accuracy.order_8 and check.order_8):
-        return None
+    assert case.code is not None  # see `Case`
     scene, p, equation = case.scene, case.p, case.equation
     refuse_runaway(scene, case.duration)
     timelines = case.timeline(case.outputs, accuracy), case.timeline(case.outputs, check)
@@ -536,7 +478,7 @@ def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrate
     time, none = timelines[0].output_fractions * case.duration, np.zeros(len(force))
     run = Run(scene, case.duration, time, travel, speed, deflection, force, soil, none, none, ours, accuracy)
     largest, differences = sizes.tolist()
-    return Integrated(run), relative_difference(run, largest, differences, theirs)
+    return run, relative_difference(run, largest, differences, theirs)
 
 
 Results = tuple[Array, Array, Array]
@@ -548,35 +490,28 @@ def _assembled(case: Case, timeline: Timeline, found: Results, accuracy: Accurac
     return assemble(case.scene, case.p, case.duration, timeline.output_fractions, *found, accuracy)
 
 
-def thinned(run: Run, outputs: int) -> Run:
-    """Return a run with fewer equal intervals between outputs; the run must have a multiple of them."""
-    every = (len(run.time) - 1) // outputs
-    if every == 1:
-        return run
+def _thinned(run: Run, every: int) -> Run:
+    """Return a run with every so many of its outputs."""
     return replace(run, **{name: getattr(run, name)[::every] for name in ARRAYS})
 
 
-def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[Results | None, Array | None]:
-    """Return the results of an adaptive method (None if it failed) and the sizes of their quantities."""
-    expected = sized.expected(p).full().ravel()
-    results = _attempt(sized.function, p, expected if sizes is None else sizes)
+# An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
+# smaller than this part of it.
+_TOO_SMALL = 0.03
+
+
+def _sized(function: ca.Function, equation: Equation, p: list[float]) -> Results | None:
+    """Return the results of an adaptive method, integrated again if quantities are far smaller than expected."""
+    sizes: Array = equation.sizes(p).full().ravel()
+    results = _attempt(function, p, sizes)
     if results is None:
-        return None, None
-    found = _sizes(results, expected)
-    if sizes is None and np.any(found < expected):
-        results = _attempt(sized.function, p, found)
-        if results is not None:
-            found = _sizes(results, expected)
-    return results, found
-
-
-def _sizes(results: Results, expected: Array) -> Array:
-    """Return the expected sizes, replaced by the true ones where these are far smaller."""
+        return None
     states, means, variances = results
     rms, averages = np.sqrt(np.maximum(variances, 0.0)), np.abs(means)
     averages[: rms.size] += rms
-    found = np.concatenate([np.abs(states[:, :2]).max(axis=0), averages, rms])
-    return np.where((found > 0.0) & (found < _TOO_SMALL * expected), found, expected)
+    true = np.concatenate([np.abs(states[:, :2]).max(axis=0), averages, rms])
+    small = (true > 0.0) & (true < _TOO_SMALL * sizes)
+    return (_attempt(function, p, np.where(small, true, sizes)) or results) if small.any() else results
 
 
 def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, float]:

@@ -30,36 +30,19 @@ STIFF_PHASE = 1e5
 TIGHTEST = 1e-13
 """Tightest relative tolerance that double precision allows."""
 
-STIFF_TOLERANCE = 1e-9
+STIFF_TOLERANCE = 2e-10
 """Tightest tolerance for an implicit method. Below it the steps resolve every oscillation of a stiff mount."""
 
 # Steps of order 8. Their error is proportional to the eighth power of the phase per step, so one measured error gives
-# the step length for any other. A phase of 0.5 rad of the fastest oscillation leaves an error of about 1e-10. By
-# `Rates.summed`, which scatters half as much, 0.475 rad usually do. If not, the check notices and the run is refined.
+# the step length for any other.
 PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation per step of order 8 that leaves a relative error of about 1e-10."""
-_USUAL_PHASE = 0.475
-# A smooth motion is tried with long steps first. Up to 1.6 rad by `Rates.summed` the error follows the order's law.
-_LONG_PHASE = 1.6
-# One of few steps is tried with this phase, which in three of four ordinary scenes is enough for an error of 1e-8.
-_SHORT_PHASE = 0.65
-_FEW_STEPS = 220
-# Largest error from which the necessary number of steps can be extrapolated.
-_LARGEST_KNOWN_ERROR = 1e-3
-# Exponent of that extrapolation: below 1/8, for the error of long steps first falls faster than its order.
+# By `Rates.summed`, which scatters half as much, this phase leaves an error of 1e-8 in three of four ordinary scenes.
+_USUAL_PHASE = 0.65
+# Exponent with which the necessary number of steps follows from an error, and the safety factor on it. The error of
+# long steps first falls faster than its order.
 _ERROR_EXPONENT = 1.0 / 8.5
-# Safety factor on the extrapolated number of steps.
 _SAFETY = 1.12
-# Order below which the error of long steps of order 8 shows a jump or a kink, across which more steps hardly help.
-_LEAST_ORDER = 4.0
-# The last run checks the next one if that takes as many steps as it can check, up to this factor on them.
-_NEARLY = 1.05
-# Least factor between two numbers of steps that are tried.
-_LEAST_REFINEMENT = 1.15
-# The same factor after an error too large to extrapolate from.
-_BLIND_REFINEMENT = 1.4
-# A check takes three quarters of the steps: its error is (4/3)^8 = 10 times as large, at less than the run's cost.
-_CHECK_STEPS = 0.75
 STEPS_PER_PIECE = 18
 """Least number of steps for each piece of a speed profile. Every piece then takes six at least, and its check five: as
 many in both would hide their error."""
@@ -76,8 +59,6 @@ _ORDER_8_PHASE = 4e5
 _SMOOTH_PHASE = 5e3
 _BRIEFLY_STIFF_PHASE = 2e6
 
-RUN_TOLERANCE = 0.2
-"""Tolerance of an adaptive run relative to that of its check, whose error is then about ten times as large."""
 # At the tightest tolerance an adaptive method needs about 100 steps per rad. It may take three times as many.
 _ADAPTIVE_PER_PHASE = 300.0
 # Steps that an adaptive method may take in addition, to get started.
@@ -262,7 +243,7 @@ def of_symbols(
     elif scene.effects.events:
         # Events are located, but not the ends of the step of smooth contact, which need a tighter tolerance.
         wanted = min(accuracy.error or DEFAULT_ERROR, (1e-4 if smooth else 1e-2) * accuracy.wanted_derivatives)
-        accuracy = automatic("erk", wanted, p, duration)
+        accuracy = first_setting("erk", wanted)
     # These suffice for the default error. Second derivatives of order-8 steps are of order 8 too.
     finer: float = (DEFAULT_DERIVATIVES / accuracy.wanted_derivatives) ** 0.125
     enough = max(steps, math.ceil((_SMOOTH_STEPS if smooth else OUTPUTS) * finer), fewest_steps(p))
@@ -292,81 +273,10 @@ def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
     return replace(accuracy, steps=-(-wanted // outputs) * outputs)
 
 
-def suited(structure: Structure, total_phase: float) -> tuple[str, ...]:
-    """Return the methods that suit an equation over a total phase [rad], cheapest first."""
-    if structure.orbit != "transient":
-        return ("dop853",)
-    if structure.smooth and total_phase > _SMOOTH_PHASE:
-        return ("erk", "rosenbrock") if total_phase <= _BRIEFLY_STIFF_PHASE else ("rosenbrock",)
-    adaptive: str = "rosenbrock" if total_phase > STIFF_PHASE else "erk"
-    return (adaptive,) if structure.events or total_phase > _ORDER_8_PHASE else ("dop853", adaptive)
-
-
-def automatic(method: str, wanted: float, p: Mapping[str, Any], duration: Any) -> Accuracy:
-    """Return the setting with which a method should reach a relative error.
-
-    Args:
-        method: one of `suited`.
-        wanted: the relative error; three quarters of the returned steps of order 8 should reach it.
-        p: the equation's parameters.
-        duration: simulated time [s].
-    """
-    if method == "rosenbrock":
-        return Accuracy(method, tolerance=max(0.1 * wanted, STIFF_TOLERANCE))
-    if method == "erk":
-        return Accuracy(method, tolerance=max(0.01 * wanted, TIGHTEST))
-    enough = steps_for(rates(p).summed * duration, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
-    return _order_8(rounded_up(max(math.ceil(enough / _CHECK_STEPS), fewest_steps(p))))
-
-
-def first_steps(scene: Scene, duration: float, wanted: float) -> int:
-    """Return the number of steps of order 8 to try first.
-
-    It is that at which the error just begins to follow the law of the order. Up to `_FEW_STEPS`, where outputs cost as
-    much as steps, it is the number that mostly reaches the wanted error: a second attempt would cost more.
-    """
-    phase = rates_of(scene).summed * duration
-    usual = steps_for(phase, min(_SHORT_PHASE * (wanted / DEFAULT_ERROR) ** 0.125, _LONG_PHASE))
-    enough = usual if usual <= _FEW_STEPS else steps_for(phase, _LONG_PHASE)
-    return rounded_up(max(enough, fewest_steps(numbers_of(scene))))
-
-
-def next_steps(steps: int, error: float, wanted: float) -> int:
-    """Return the number of steps of order 8 to try next.
-
-    Args:
-        steps: number of steps tried last.
-        error: error that they left; infinite if the integration failed.
-        wanted: error to reach.
-    """
-    if error > _LARGEST_KNOWN_ERROR:
-        return rounded_up(math.ceil(_BLIND_REFINEMENT * steps), 5)
-    by_law = math.ceil(_SAFETY * steps * (error / wanted) ** _ERROR_EXPONENT)
-    if by_law <= _NEARLY * (checked := int(steps / _CHECK_STEPS)):
-        return checked
-    return max(rounded_up(math.ceil(_LEAST_REFINEMENT * steps), 5), rounded_up(by_law, 5))
-
-
-def has_lost_order(steps: int, error: float, fewer: int, error_before: float) -> bool:
-    """Return whether an error hardly falls with the number of steps of order 8.
-
-    Args:
-        steps: number of steps tried last.
-        error: error that they left.
-        fewer: number tried before.
-        error_before: error that those left; infinite if there are none or they failed.
-    """
-    return error_before <= _LARGEST_KNOWN_ERROR and error > error_before * (fewer / steps) ** _LEAST_ORDER
-
-
-def pair_of(steps: int) -> tuple[Accuracy, Accuracy]:
-    """Return the settings of a run of order 8 and of its check."""
-    return _order_8(steps), _order_8(coarser(steps))
-
-
-def coarser(steps: int) -> int:
-    """Return the number of steps that checks a run of order 8."""
-    return math.ceil(_CHECK_STEPS * steps)
+@lru_cache(maxsize=256)
+def _order_8(steps: int) -> Accuracy:
+    """Return an `Accuracy` of order 8, cached because its validation takes longer than the look-up."""
+    return Accuracy("dop853", steps=steps)
 
 
 def rounded_up(steps: int, digits: int = 3) -> int:
@@ -375,42 +285,65 @@ def rounded_up(steps: int, digits: int = 3) -> int:
     return -(-steps // unit) * unit
 
 
-def checked(method: str, wanted: float, p: Mapping[str, float], duration: float) -> tuple[Accuracy, Accuracy]:
-    """Return the settings of a run and of its check, which is coarser, to reach an error: see `automatic`.
+def suited(structure: Structure, total_phase: float) -> tuple[str, ...]:
+    """Return the methods that suit an equation over a total phase [rad], cheapest first."""
+    if structure.orbit != "transient":
+        return ("dop853",)
+    # The slope of a smooth contact acts only while the share is slower than its width: equal steps that resolve it
+    # everywhere take ten times as long as adaptive ones, which may be explicit up to a larger phase.
+    most_steps, stiff = (_SMOOTH_PHASE, _BRIEFLY_STIFF_PHASE) if structure.smooth else (_ORDER_8_PHASE, STIFF_PHASE)
+    adaptive = ("rosenbrock",) if total_phase > stiff else ("erk", "rosenbrock") if structure.smooth else ("erk",)
+    return adaptive if structure.events or total_phase > most_steps else ("dop853", *adaptive)
 
-    The check's error is several times the run's, so their difference is no less than the error of the run.
+
+def first_setting(method: str, wanted: float, summed_phase: float = 0.0, fewest: int = 0) -> Accuracy:
+    """Return the setting with which a method usually reaches a relative error, by its difference from `coarser`.
+
+    Args:
+        method: one of `suited`.
+        wanted: the relative error.
+        summed_phase: phase by `Rates.summed` over the run [rad], for steps of order 8.
+        fewest: `fewest_steps`, for the same.
     """
-    chosen = automatic(method, wanted, p, duration)
-    return pair_of(chosen.steps) if chosen.steps else (finer(chosen, RUN_TOLERANCE), chosen)
+    if method == "dop853":
+        steps = steps_for(summed_phase, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_ERROR) ** 0.125)
+        return _order_8(rounded_up(max(steps, fewest)))
+    least = STIFF_TOLERANCE if method == "rosenbrock" else TIGHTEST
+    return Accuracy(method, tolerance=max(0.003 * wanted, least))
 
 
-@lru_cache(maxsize=256)
-def _order_8(steps: int) -> Accuracy:
-    """Return an `Accuracy` of order 8, cached because its validation takes longer than the look-up."""
-    return Accuracy("dop853", steps=steps)
+def coarser(setting: Accuracy) -> Accuracy:
+    """Return the setting of the check, whose error is about ten times as large: (4/3)^8 or ten times the tolerance."""
+    if setting.steps:
+        return _order_8(math.ceil(0.75 * setting.steps))
+    return replace(setting, tolerance=10.0 * (setting.tolerance or DEFAULT_TOLERANCE))
 
 
-def named(
-    accuracy: Accuracy, p: Mapping[str, float], duration: float, outputs: int, kinked: bool
-) -> tuple[Accuracy, Accuracy]:
-    """Return the settings of a named method and of its check: order 8 with enough steps, or the same method, finer.
+def refined(setting: Accuracy, error: float, wanted: float) -> Accuracy:
+    """Return the next setting, from the error that the last one left: infinite if its integration failed."""
+    if setting.steps:
+        factor = _SAFETY * min(error / wanted, 1e9) ** _ERROR_EXPONENT
+        return _order_8(rounded_up(math.ceil(setting.steps * min(max(factor, 1.15), 3.0)), 5))
+    tolerance = (setting.tolerance or DEFAULT_TOLERANCE) * min(0.1, max(0.01, 0.5 * wanted / error))
+    least = STIFF_TOLERANCE if setting.method == "rosenbrock" else TIGHTEST
+    return replace(setting, tolerance=max(tolerance, least))
+
+
+def named(accuracy: Accuracy, p: Mapping[str, float], duration: float, outputs: int) -> tuple[Accuracy, Accuracy]:
+    """Return the settings of a named method and of its check, the same method with finer ones.
 
     Args:
         accuracy: the method; its own setting, if given, is kept.
         p: the equation's parameters.
         duration: simulated time [s].
         outputs: number of intervals between output times.
-        kinked: whether the motion has events or kinks, across which steps of order 8 lose their order.
     """
-    total = phase(p, duration)
-    chosen = with_setting(accuracy, max(steps_for(total), fewest_steps(p)), outputs)
-    if not chosen.adaptive:
-        return chosen, replace(chosen, steps=2 * (chosen.steps or 1))
-    if total > STIFF_PHASE or kinked:
-        return chosen, finer(chosen)
-    return chosen, automatic("dop853", chosen.tolerance or DEFAULT_TOLERANCE, p, duration)
+    chosen = with_setting(accuracy, max(steps_for(phase(p, duration)), fewest_steps(p)), outputs)
+    return chosen, finer(chosen)
 
 
-def finer(accuracy: Accuracy, by: float = 0.1) -> Accuracy:
-    """Return an adaptive method at a fraction of its tolerance."""
-    return replace(accuracy, tolerance=max(by * (accuracy.tolerance or DEFAULT_TOLERANCE), 0.1 * TIGHTEST))
+def finer(accuracy: Accuracy) -> Accuracy:
+    """Return a method with twice its steps or a tenth of its tolerance."""
+    if not accuracy.adaptive:
+        return replace(accuracy, steps=2 * (accuracy.steps or 1))
+    return replace(accuracy, tolerance=max(0.1 * (accuracy.tolerance or DEFAULT_TOLERANCE), 0.1 * TIGHTEST))

@@ -59,11 +59,8 @@ def simulate(
             is no compiler, if another method or model takes the run, or if an own effect looks up a table.
         tow_speed: speed of the strut over time instead of the scene's constant one: a table, which is a tuple of times
             [s], from 0 on, and of speeds [m/s], as numbers or texts such as "9 km/h", with straight lines between them
-            and the last speed afterwards; a function of the time [s] that returns the speed [m/s], smooth but for a few
-            kinks; or a `scipy.interpolate.PPoly`, such as a `CubicSpline`. Steps end at its knots. A change of a
-            function is certain to be seen if it lasts longer than duration / 4096, the distance of the times at which
-            it is evaluated: give shorter ones as a table. In the run's scene ``tow_speed`` is the largest speed, at
-            which laws of resistance are evaluated, and ``effects.tow_profile`` the course.
+            and the last speed afterwards. Steps end at its times. In the run's scene ``tow_speed`` is the largest
+            speed, at which laws of resistance are evaluated, and ``effects.tow_profile`` the course.
 
     Returns:
         A numeric or symbolic `Run`.
@@ -91,7 +88,7 @@ def simulate(
         DomainError: the duration is not positive, or the tow speed is never above 0.
         InputError: the duration is missing, or given for an orbit; there is no output interval; the scene holds an
             array; a quasi-static scene has an integration method; the method cannot take SX symbols; a symbolic scene
-            is to be compiled; or the tow speed is not as above, jumps, is negative, or is combined with an orbit, a tow
+            is to be compiled; or the tow speed is not as above, is negative, or is combined with an orbit, a tow
             ramp, stick and slip, entry, random strength or a symbolic duration.
         IntegrationError: the method failed; the message names the scene, the time and the likely cause.
 
@@ -160,10 +157,10 @@ def _read(
     if tow_speed is not None:
         if is_symbolic(found):
             raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
-        largest, course = profile_of(tow_speed, float(found))
+        largest, course = profile_of(tow_speed)
         scene = replace(scene, tow_speed=largest, effects=replace(scene.effects, tow_profile=course))
     profile, steps = scene.effects.tow_profile, accuracy.steps
-    if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * len(profile.pieces)):
+    if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * profile.pieces):
         raise InputError(f"accuracy steps = {steps} are too few for the knots of the tow speed: give {fewest} or more")
     return scene, found
 

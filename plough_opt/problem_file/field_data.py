@@ -273,7 +273,7 @@ def course_of_file(source: Source) -> SpeedProfile | None:
         if len(columns[0]) != len(columns[1]):
             raise InputError(f"has {len(columns[0])} times and {len(columns[1])} speeds: give as many of both")
         times, speeds = ([*map(Unit(unit).parse, own)] for unit, own in zip(("s", "m/s"), columns, strict=True))
-        largest, profile = profile_of((times, speeds), times[-1])
+        largest, profile = profile_of((times, speeds))
         if source.written("scene.average") == "whole waves":
             raise InputError('varies, and average = "whole waves" needs a constant speed: remove one of the two')
         source.data["scene"]["tow_speed"] = columns[1][speeds.index(largest)]

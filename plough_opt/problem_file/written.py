@@ -52,9 +52,8 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
         given = {key: value for key, value in given.items() if EVERY[key].owner != "soil"}
     lines = [f"title = {json.dumps(title)}", *([] if name is None else [f"soil.name = {json.dumps(name)}"])]
     profile = scene.effects.tow_profile
-    if profile is not None and all(len(piece) <= 2 for piece in profile.pieces):  # linear between its times
-        parts = [piece[0] for piece in profile.pieces] + [sum(profile.pieces[-1])]
-        speeds = [f"{part * given['scene.tow_speed']!r} m/s" for part in parts]
+    if profile is not None:
+        speeds = [f"{part * given['scene.tow_speed']!r} m/s" for part in profile.speeds]
         course = {"time": [f"{time!r} s" for time in profile.times], "speed": speeds}
         lines.append(f"scene.tow_speed = {_toml(course)}")
         del given["scene.tow_speed"]

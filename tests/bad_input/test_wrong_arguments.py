@@ -167,7 +167,7 @@ def _classes():
         "SoilDistribution": (po.SoilDistribution, {
             "soil": SOIL, "within": {"cohesion": (1e4, 2e4)}, "correlation": {("cohesion", "density"): 0.1},
             "cohesion": stats.norm(15e3, 1e3), "density": stats.norm(1350.0, 20.0)}),
-        "SpeedProfile": (po.SpeedProfile, {"times": (0.0, 2.0), "pieces": ((0.5, 0.5),)}),
+        "SpeedProfile": (po.SpeedProfile, {"times": (0.0, 2.0), "speeds": (0.5, 1.0)}),
         "Spectrum": (po.Spectrum, {"wave_number": [1.0, 2.0], "density": [0.1, 0.2]}),
         "StrengthRecord": (po.StrengthRecord, {"position": PATH, "value": 1e6 + 2e5 * np.sin(9.0 * PATH)}),
     }  # fmt: skip

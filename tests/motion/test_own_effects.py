@@ -242,7 +242,7 @@ def test_rate_and_outputs_are_those_of_the_model(effects):
         assert [soil, power] == pytest.approx([resisted, pull * u[0]], rel=1e-12, abs=1e-12 * abs(pull))
 
 
-SPEEDS = {"tow_profile": po.SpeedProfile((0.0, 0.4, 0.9), ((0.5, 0.5), (1.0, -0.3)))}
+SPEEDS = {"tow_profile": po.SpeedProfile((0.0, 0.4, 0.9), (0.5, 1.0, 0.7))}
 
 
 @pytest.mark.parametrize("effects", [{}, {"damping": 300.0, "strength_wave": LONG_WAVE, "tow_ramp": 0.3}, SPEEDS])

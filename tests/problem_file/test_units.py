@@ -255,7 +255,7 @@ SAID = {
     "an orbit": scene_of(strength_wave=WAVE, damping=400.0, orbit="periodic"),
     "random strength": scene_of(random_strength=po.RandomStrength(0.2, 0.3), damping=400.0),
     "another law": scene_of(medium=po.laws.McKyesAli(depth=0.35)),
-    "a speed over time": scene_of(tow_profile=po.SpeedProfile((0.0, 0.5, 1.5), ((0.5, 0.5), (1.0, -0.25)))),
+    "a speed over time": scene_of(tow_profile=po.SpeedProfile((0.0, 0.5, 1.5), (0.5, 1.0, 0.75))),
     "as printed": scene_of(formulation="printed"),
 }  # fmt: skip
 
@@ -273,12 +273,10 @@ def said(**changes):
     return problem_of(scene_of(**changes), 1.0, "")
 
 
-PROFILE = po.SpeedProfile((0.0, 1.5), ((0.5, 0.25, 0.25),))
 test_what_a_file_cannot_say_is_named = refusals(
     InputError,
     (lambda: said(share=po.Cone("10 deg", "25 cm")), "a Cone"),
     (lambda: said(soil=SEROZEM.with_density_profile(lambda r: 1000.0 + r)), "scene.soil.density_profile"),
-    (lambda: said(tow_profile=PROFILE), "scene.effects.tow_profile"),
     (lambda: said(own=(Shank(),)), "Shank"),
 )
 

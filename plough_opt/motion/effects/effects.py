@@ -43,7 +43,7 @@ class Effects:
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: full speed from the
             start. An expression with the value 0 means 1e-9 s, too short to matter, so that derivatives exist.
         tow_profile: speed of the strut over time relative to the tow speed, or None. ``simulate(..., tow_speed=...)``
-            makes it of a table or a function. Laws of resistance are evaluated at the tow speed itself.
+            makes it of a table. Laws of resistance are evaluated at the tow speed itself.
         damping: viscous damper c in the mount [N s/m], or None.
         speed_term: lambda [s/m] of F0 (1 + lambda L'), for calibration, or None. Not in the source: blades and chisels
             were measured to grow linearly with speed (Onwualu and Watts 1998; Al-Neama and Herlitzius 2016).

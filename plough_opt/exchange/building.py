@@ -322,7 +322,7 @@ class Scenes:
         _, _, scene, duration, _ = self._symbolic
         # Outputs at start and end alone need no interpolation between steps.
         method: str | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
-        return timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
+        return timeline_of(scene, duration, resolution.outputs, resolution.steps, method)
 
 
 @dataclass(frozen=True)

@@ -56,18 +56,6 @@ def test_an_independent_solver_agrees(width, effects):
     three_modes.agreed(smooth_scene(po.Smooth(width), **effects), 1.0, allowed=5e-8, resistance=20.0)
 
 
-def test_a_symbolic_run_ends_steps_at_the_ends_of_the_contacts_step():
-    """Steps across such an end would have an error of 2e-11 here instead of 7e-13."""
-
-    def run_of(stiffness, accuracy):
-        effects = {"start": "rest", "strength_wave": po.StrengthWave(0.3, 0.4), "damping": 100.0}
-        return po.simulate(smooth_scene(po.Smooth(0.2), stiffness, **effects), 1.0, accuracy=accuracy, outputs=1)
-
-    x = ca.MX.sym("x")
-    found = ca.Function("draft", [x], [run_of(x, po.Accuracy("dop853", steps=400)).mean_draft])(2e4)
-    assert float(found) == pytest.approx(run_of(2e4, po.Accuracy(error=1e-11)).mean_draft, rel=3e-12)
-
-
 def test_a_share_that_retreats_carries_a_warning():
     run = po.simulate(
         smooth_scene(po.Smooth(0.05), 1e4, 2.0, start="rest", strength_wave=po.StrengthWave(1.0, 0.6)), 3.0

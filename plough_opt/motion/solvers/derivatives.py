@@ -33,7 +33,6 @@ from plough_opt.motion.solvers.steps import (
     product,
     run_from,
     spans_of,
-    unbroken,
 )
 
 Vector = NDArray[np.float64]
@@ -127,8 +126,7 @@ def _jets_from(
     spans = spans_of(timeline, p[-1], ramp)
     steps, width = spans.shape[1], _width(count, order)
     first, ramp_part = ca.MX.sym("first", 2, width), ca.MX.sym("ramp_part", 1, width)
-    step = (_compiled_jet_step if compiled else _jet_step)(equation, varying, order, spans.shape[0])
-    one = unbroken(equation, timeline, step, count)
+    one = (_compiled_jet_step if compiled else _jet_step)(equation, varying, order, spans.shape[0])
     states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
     moving = None if ramp is None else (ramp_part, spans[3, :])
     averages = pooled(moments, spans[1, :], equation.count, count, moving)

@@ -189,12 +189,10 @@ def fewest_steps(p: Mapping[str, Any]) -> int:
 _timeline = lru_cache(maxsize=256)(Timeline)
 
 
-def timeline_of(
-    scene: Scene, duration: Expression, outputs: int, steps: int, method: str | None = None, *, symbolic: bool = False
-) -> Timeline:
+def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int, method: str | None = None) -> Timeline:
     """Return the times of a run, which include the end of a tow ramp, numeric or symbolic.
 
-    Steps of order 8 need not end at the outputs, which are interpolated, unless steps end at kinks of unknown time.
+    Steps of order 8 need not end at the outputs, which are interpolated, unless a step ends at a symbolic time.
 
     Args:
         scene: the scene.
@@ -202,13 +200,11 @@ def timeline_of(
         outputs: number of intervals between output times.
         steps: number of steps.
         method: name of the method.
-        symbolic: whether the run will be differentiated, so that steps must also end at the ends of smooth contact.
     """
     effects, ramp, profile = scene.effects, scene.effects.tow_ramp, scene.effects.tow_profile
     if profile is not None and is_symbolic(duration):
         raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
-    untimed = effects.ramps and (is_symbolic(ramp) or is_symbolic(duration))
-    moving = untimed or (symbolic and effects.motion and isinstance(effects.contact, Smooth))
+    moving = effects.ramps and (is_symbolic(ramp) or is_symbolic(duration))
     times = () if profile is None else profile.times
     if effects.ramps and not moving:
         times = (float(as_number(ramp)),)
@@ -248,7 +244,7 @@ def of_symbols(
     finer: float = (DEFAULT_DERIVATIVES / accuracy.wanted_derivatives) ** 0.125
     enough = max(steps, math.ceil((_SMOOTH_STEPS if smooth else OUTPUTS) * finer), fewest_steps(p))
     steps = MOST_ADAPTIVE if accuracy.adaptive else accuracy.steps or enough
-    return accuracy, timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
+    return accuracy, timeline_of(scene, duration, outputs, steps, accuracy.method)
 
 
 def most_steps(total_phase: float) -> int:

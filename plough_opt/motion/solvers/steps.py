@@ -7,11 +7,9 @@ Steps of order 8 are longer than the intervals between outputs. The deflection w
 steps around an output time determine a Hermite polynomial of degree 15. Its error falls by a higher power of the step
 size than that of the method. Interpolated states are linear in those at the ends, and so are their derivatives.
 
-Steps end at kinks: at the end of a tow ramp, and at the ends of the smooth contact's step. Across a kink steps of order
-8 lose their order, and each differentiation by a parameter that moves the kink loses one order more. The end of a ramp
-is a known time that moves with the parameters. The ends of the smooth contact's step are located in the motion. Their
-position within a step is held constant under differentiation. That is accurate enough, because the motion has four
-derivatives there.
+A step ends at the end of a tow ramp, a known time that moves with the parameters. Across a kink steps of order 8 lose
+their order, and each differentiation by a parameter that moves the kink loses one order more. The smooth contact has
+four derivatives everywhere, which is enough.
 """
 
 from __future__ import annotations
@@ -69,9 +67,8 @@ class Timeline:
             steps between two of them are equally long, no longer than they would be without a kink.
         aligned: whether a step ends at each output. Each output interval then has the nearest whole number of steps, at
             least one. Otherwise outputs are interpolated between the ends of `READ_FROM` steps.
-        moving: whether steps of order 8 also end at kinks whose times depend on the parameters: see
-            `plough_opt.motion.solvers.steps`. Steps are then aligned, their number in an output interval is rounded up,
-            and ``kinks`` are the knots of a speed profile only.
+        moving: whether steps of order 8 also end at the end of a ramp that depends on the parameters. Steps are then
+            aligned, their number in an output interval is rounded up, and ``kinks`` does not hold that end.
     """
 
     outputs: int
@@ -223,10 +220,6 @@ def hermite(x: Array, t: Array) -> tuple[Array, Array, Array, Array]:
         np.where(apart, by_value * grows - 2.0 * steep * lagrange**2, 0.0),
         np.where(apart, by_slope * grows + lagrange**2, here),
     )
-
-
-# Locates a kink to 1e-3 of a step; the error of a second derivative is of the fourth power of that.
-_BISECTIONS = 10
 
 
 def pairs(count: int) -> list[tuple[int, int]]:
@@ -404,67 +397,6 @@ def quadrature(timeline: Timeline, points: int, duration: Expression, p: Paramet
     return inner.ravel(), (sizes * weights / 2.0).ravel()
 
 
-def unbroken(equation: Equation, timeline: Timeline, one: ca.Function, count: int = 0) -> ca.Function:
-    """Return a Function like ``one`` that divides a step into three if the smooth contact's step ends within it.
-
-    Args:
-        equation: the equation of motion.
-        timeline: times of the run; without ``moving`` steps are not divided.
-        one: (Taylor coefficients of the state, span, parameters) -> (those of the next state, those of the moments).
-        count: number of parameters by which these are differentiated.
-    """
-    if not timeline.moving or not equation.structure.smooth:
-        return one
-    state, span, p = (ca.MX.sym(one.name_in(k), *one.size_in(k)) for k in range(3))
-    at = ca.MX.sym("at", 2)
-    after, moments = ca.MX.sym("after", *one.size_out(0)), ca.MX.sym("moments", *one.size_out(1))
-    given = [state, span, p, at, after, moments]
-    whole = ca.Function("whole", given, [after, moments])
-    cuts: list[Any] = [0.0, at[0], at[1], 1.0]
-    reached, found = state, []
-    for cut, following in itertools.pairwise(cuts):
-        times = span[:4] if span.numel() > 2 else span
-        starts, whole_sizes = times[0::2], times[1::2]
-        part = ca.vec(ca.horzcat(starts + cut * whole_sizes, (following - cut) * whole_sizes).T)
-        part = stacked(part, span[4:]) if span.numel() > 2 else part
-        reached, own = one(reached, part, p)
-        found.append(own)
-    sizes = ca.horzcat(at[0], at[1] - at[0], 1.0 - at[1])
-    both = pooled(ca.horzcat(*found), sizes, equation.count, count)
-    parted = ca.Function("parted", given, [reached, stacked(*both)])
-    after, moments = one(state, span, p)
-    at = crossings(equation, span.numel())(state[:, 0], after[:, 0], span, p)
-    chosen = ca.Function.if_else("chosen", parted, whole)(at[0] < 1.0, state, span, p, at, after, moments)
-    return ca.Function("unbroken", [state, span, p], list(chosen))
-
-
-@lru_cache(maxsize=64)
-def crossings(equation: Equation, width: int) -> ca.Function:
-    """Return (states at both ends of a step, span, p) -> fractions of the step at which the smooth contact's step ends.
-
-    A fraction is 1 if that end is not within the step. The share's speed is interpolated by a cubic.
-    """
-    states, at = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], OneStep.of(equation, width)
-    equation, known, size = at.equation, at.known, at.size
-    speeds, slopes = [], []
-    for time, state in zip((at.start, at.start + size), states, strict=True):
-        mount = equation.structure.strut(known, time)
-        speeds.append(equation.structure.start_speed(known) + mount.gain - state[1])
-        slopes.append(size * (mount.acceleration - equation.rate(time, state, at.given)[1]))
-    change = speeds[1] - speeds[0]
-    bend, twist = 3.0 * change - 2.0 * slopes[0] - slopes[1], slopes[0] + slopes[1] - 2.0 * change
-    found = []
-    for threshold in (0.0, known["width"]):
-        begins, part = speeds[0] < threshold, 0.0
-        for k in range(1, _BISECTIONS + 1):
-            middle = part + 0.5**k
-            speed = speeds[0] + middle * (slopes[0] + middle * (bend + middle * twist))
-            part = ca.if_else((speed < threshold) == begins, middle, part)
-        found.append(ca.if_else((speeds[1] < threshold) == begins, 1.0, part))
-    parts = stacked(ca.fmin(*found), ca.fmax(*found))
-    return ca.Function("crossings", [*states, at.span, at.p], [parts], {"is_diff_out": [False]})
-
-
 @lru_cache(maxsize=64)
 def step(equation: Equation, width: int = 2, tableau: Tableau = DOP853) -> ca.Function:
     """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
@@ -512,8 +444,7 @@ def run_from(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) 
     spans = spans_of(timeline, p[-1], ramp)
     sizes = spans[1, :] if ramp is None else spans[1, :] + spans[3, :] * (ramp / p[-1])
     count = sizes.shape[1]
-    one = unbroken(equation, timeline, step(equation, spans.shape[0], tableau))
-    states, moments = one.mapaccum(count)(first, spans, ca.repmat(p, 1, count))
+    states, moments = step(equation, spans.shape[0], tableau).mapaccum(count)(first, spans, ca.repmat(p, 1, count))
     averages = pooled(moments, sizes, equation.count)
     found = at_outputs(timeline, ca.horzcat(first, states), p[-1], ramp)
     return ca.Function("run_from", [first, p], [found, *averages])

@@ -8,7 +8,6 @@ run is one call of the Function or, if the system has a compiler, the same opera
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -538,28 +537,11 @@ def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run
         return _assembled(until, solver.timeline, last, solver.accuracy), failed - reached
 
 
-@lru_cache(maxsize=128)
-def _shapes(function: ca.Function) -> list[tuple[tuple[int, int], bool]]:
-    """Return the shape of each result, and whether CasADi writes it: not if it is zero by structure."""
-    shapes = [function.size_out(k) for k in range(function.n_out())]
-    return [(shape, function.nnz_out(k) == math.prod(shape)) for k, shape in enumerate(shapes)]
-
-
-def _attempt(function: Any, *inputs: list[float] | Array) -> Results | None:
+def _attempt(function: ca.Function, *inputs: list[float] | Array) -> Results | None:
     """Return the results of an integration's Function, or None if it failed or they are not finite."""
-    given = [np.array(values) for values in inputs]
-    buffer, evaluate = function.buffer()  # CasADi's type stubs do not accept arrays
-    for k, values in enumerate(given):
-        buffer.set_arg(k, values.data)
-    results = []
-    for k, (shape, dense) in enumerate(_shapes(function)):
-        results.append(np.zeros(shape, order="F"))
-        if dense:
-            buffer.set_res(k, results[k].ravel(order="K").data)
     try:
-        evaluate()
+        states, means, variances = (part.full() for part in function.call([ca.DM(values) for values in inputs]))
     except RuntimeError:
         return None
-    valid = buffer.ret() == 0 and all(np.isfinite(result).all() for result in results)
-    states, means, variances = results
-    return (states.T, means.ravel(), variances.ravel()) if valid else None
+    results = states.T, means.ravel(), variances.ravel()
+    return results if all(np.isfinite(part).all() for part in results) else None

@@ -1,8 +1,8 @@
 """Readings from CSV files: penetrometer profiles over depth, and records of strength along a path."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -133,22 +133,30 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
     low, high = pair_of("depth", depth)
     plain_number("the shallowest depth", low, "m", at_least=0.0)
     place, headings, rows = readings_of(path, _INSERTIONS)
-    columns = _columns(place, headings)
+    columns = columns_of(place, headings, _DOWNWARDS)
+    names = [name for name, _ in columns]
+    if names.count("depth") != 1 or "cone_index" not in names or names.count("insertion") > 1:
+        raise InputError(f"{place}: one column depth and at least one column cone_index are needed, as {_INSERTIONS}")
+    if "insertion" in names and names.count("cone_index") > 1:
+        raise InputError(f"{place}: a column insertion goes with a single column cone_index: remove one or the other")
 
     def check(k: int, value: float, cell: str) -> None:
         if value < 0.0 and columns[k][0] != "insertion":
             raise InputError(f"{cell} must be at least 0")
 
     table = table_of(path, rows, columns, check)
-    names, lines = [name for name, _ in columns], np.array([line for line, _ in rows])
+    lines, indices = np.array([line for line, _ in rows]), table[:, [name == "cone_index" for name in names]]
+    # An insertion is a column, or the rows with its number.
+    which = table[:, names.index("insertion")] if "insertion" in names else np.zeros(len(table))
     means, errors = [], []
-    for label, own, column in _curves(names, table):
+    for label, column in product(dict.fromkeys(which.tolist()), range(indices.shape[1])):
+        own = which == label
         z = table[own, names.index("depth")]
         check_rising(path, lines[own].tolist(), z, "depths of an insertion")
         try:
-            means.append(_mean(z, table[own, column], low, high))
+            means.append(_mean(z, indices[own, column], low, high))
         except InputError as error:
-            errors.append(f"{path}, insertion {label:g}: {error}")
+            errors.append(f"{path}, insertion {label + column + ('insertion' not in names):g}: {error}")
     raise_listed(errors)
     return Penetrometer(str(path), np.array(means))
 
@@ -177,37 +185,13 @@ def average_readings(source: Source, folder: Path) -> str:
         found = read_penetrometer(folder / written, (between.lower, between.upper))
         source.read_files[written] = exact_text(folder / written)
         soil["cone_index"] = f"{found.mean / 1e6!r} MPa"
-        _spread_in(source.data.get("uncertain"), found)
+        uncertain = source.data.get("uncertain")
+        entry = uncertain.get("soil.cone_index") if isinstance(uncertain, dict) else None
+        if isinstance(entry, dict) and entry.get("distribution") == "penetrometer":
+            entry |= {"distribution": "lognormal", "mean": f"{found.mean!r} Pa", "std": f"{found.spread!r} Pa"}
         count = len(found.insertions)
         return f"{found.mean / 1e6:.4g} MPa, mean of {count} insertion{'s' * (count > 1)} over {depth} in {written}"
     return ""
-
-
-def _spread_in(uncertain: Any, found: Penetrometer) -> None:
-    """Put the insertions' mean and spread into [uncertain] if it names the distribution "penetrometer"."""
-    entry = uncertain.get("soil.cone_index") if isinstance(uncertain, dict) else None
-    if isinstance(entry, dict) and entry.get("distribution") == "penetrometer":
-        entry |= {"distribution": "lognormal", "mean": f"{found.mean!r} Pa", "std": f"{found.spread!r} Pa"}
-
-
-def _columns(place: str, headings: Sequence[str]) -> list[tuple[str, float]]:
-    """Return name and conversion factor to SI of every column."""
-    found = columns_of(place, headings, _DOWNWARDS)
-    names = [name for name, _ in found]
-    if names.count("depth") != 1 or "cone_index" not in names or names.count("insertion") > 1:
-        raise InputError(f"{place}: one column depth and at least one column cone_index are needed, as {_INSERTIONS}")
-    if "insertion" in names and names.count("cone_index") > 1:
-        raise InputError(f"{place}: a column insertion goes with a single column cone_index: remove one or the other")
-    return found
-
-
-def _curves(names: Sequence[str], table: Vector) -> list[tuple[float, NDArray[np.bool_], int]]:
-    """Return the label, rows (as a mask) and column of every insertion."""
-    columns = [k for k, name in enumerate(names) if name == "cone_index"]
-    if "insertion" in names:
-        which = table[:, names.index("insertion")]
-        return [(float(label), which == label, columns[0]) for label in dict.fromkeys(which)]
-    return [(k + 1.0, np.full(len(table), True), column) for k, column in enumerate(columns)]
 
 
 def _mean(depth: Vector, pressure: Vector, low: float, high: float) -> float:

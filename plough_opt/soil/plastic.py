@@ -13,24 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from plough_opt.core import expressions as ex
 from plough_opt.core.checks import check_domain, check_kind, checked_in_designs
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import (
-    Expression,
-    absolute,
-    as_number,
-    cos,
-    exp,
-    expm1_ratio,
-    gauss_legendre,
-    is_symbolic,
-    log1p,
-    log1p_ratio,
-    maximum,
-    minimum,
-    sqrt,
-    where,
-)
+from plough_opt.core.expressions import Expression
 from plough_opt.soil.soil import Soil, check_soil
 
 __all__ = [
@@ -76,7 +62,7 @@ def mean_ratio(r: Expression, soil: Soil) -> Expression:
     profile = soil.density_profile
     if profile is None:
         return soil.density_ratio
-    nodes = zip(*gauss_legendre(profile.order), strict=True)
+    nodes = zip(*ex.gauss_legendre(profile.order), strict=True)
     return sum(2.0 * weight * node * ratio(r * node, soil) for node, weight in nodes)
 
 
@@ -96,11 +82,11 @@ def front(radius: Expression, soil: Soil) -> Expression:
     check_soil(soil)
     radius = check_domain("cavity radius", radius, "m", at_least=0.0)
     if soil.density_profile is None:
-        return radius * exp(-log1p(-soil.density_ratio) / 2.0)
+        return radius * ex.exp(-ex.log1p(-soil.density_ratio) / 2.0)
     square = _front_square(radius**2, soil)
-    radius_of_front = sqrt(square)
-    if not is_symbolic(radius_of_front):
-        _check_profile(as_number(radius_of_front), soil)
+    radius_of_front = ex.sqrt(square)
+    if not ex.is_symbolic(radius_of_front):
+        _check_profile(ex.as_number(radius_of_front), soil)
     return radius_of_front
 
 
@@ -112,23 +98,25 @@ def _front_square(square: Expression, soil: Soil) -> Expression:
     low, high = square, 10.0 * _MOST_RATIO_SQUARED * square
     x = square
     for _ in range(_FRONT_STEPS):
-        r = sqrt(x)
+        r = ex.sqrt(x)
         error = x * (1.0 - mean_ratio(r, soil)) - square
-        low, high = where(error < 0.0, maximum(low, x), low), where(error < 0.0, high, minimum(high, x))
+        low, high = ex.where(error < 0.0, ex.maximum(low, x), low), ex.where(error < 0.0, high, ex.minimum(high, x))
         slope = 1.0 - ratio(r, soil)
-        step = x - error / where(slope > 0.0, slope, 1.0)
+        step = x - error / ex.where(slope > 0.0, slope, 1.0)
         inside = (step >= low) * (step <= high) * (slope > 0.0)
-        x = where(inside, step, sqrt(low * high))
-    residual = absolute(x * (1.0 - mean_ratio(sqrt(x), soil)) - square)
-    missed = maximum(residual - _FRONT_RESIDUAL * square - _FRONT_ROUNDING * x, x - _MOST_RATIO_SQUARED * square) > 0.0
-    if not is_symbolic(missed) and np.any(as_number(missed)):
-        widest = float(np.sqrt(np.max(as_number(square))))
+        x = ex.where(inside, step, ex.sqrt(low * high))
+    residual = ex.absolute(x * (1.0 - mean_ratio(ex.sqrt(x), soil)) - square)
+    missed = (
+        ex.maximum(residual - _FRONT_RESIDUAL * square - _FRONT_ROUNDING * x, x - _MOST_RATIO_SQUARED * square) > 0.0
+    )
+    if not ex.is_symbolic(missed) and np.any(ex.as_number(missed)):
+        widest = float(np.sqrt(np.max(ex.as_number(square))))
         raise DomainError(
             f"the compaction front around a cavity of {widest:.4g} m was not found: with this density profile no front"
             " can hold all the displaced soil; make the profile denser or wider, or raise the order of its quadrature"
         )
     # An expression cannot raise an error, so it evaluates to NaN if there is no front.
-    return where(missed, np.nan, x) if is_symbolic(missed) else x
+    return ex.where(missed, np.nan, x) if ex.is_symbolic(missed) else x
 
 
 def _check_profile(front_radius: np.ndarray, soil: Soil) -> None:
@@ -243,12 +231,12 @@ def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
             raise InputError("with a density profile the wall pressure depends on the cavity: give its radius")
         check_domain("cavity radius", radius, "m", above=0.0, why="with a density profile the pressure depends on it")
         return _pressure(0.0, radius, front(radius, soil), soil)
-    log_a = -log1p(-b1)
-    log_a_over_b1 = log1p_ratio(-b1)
-    growth = expm1_ratio(nu * log_a / 2.0)
+    log_a = -ex.log1p(-b1)
+    log_a_over_b1 = ex.log1p_ratio(-b1)
+    growth = ex.expm1_ratio(nu * log_a / 2.0)
     return WallPressure(
         strength=log_a / 2.0 * growth * yielding.strength(soil.ambient_pressure),
-        rate=log_a_over_b1 / 2.0 * (growth - expm1_ratio((nu / 2.0 - 1.0) * log_a)) + exp(nu * log_a / 2.0),
+        rate=log_a_over_b1 / 2.0 * (growth - ex.expm1_ratio((nu / 2.0 - 1.0) * log_a)) + ex.exp(nu * log_a / 2.0),
         inertia=log_a_over_b1 / 2.0 * growth,
     )
 
@@ -317,7 +305,7 @@ def front_speed(cavity: Cavity, soil: Soil) -> Expression:
     check_soil(soil)
     _check_cavity(cavity)
     if soil.density_profile is None:
-        return cavity.rate * exp(-log1p(-soil.density_ratio) / 2.0)
+        return cavity.rate * ex.exp(-ex.log1p(-soil.density_ratio) / 2.0)
     r = front_radius(cavity, soil)
     check_domain("front radius", r, "m", above=0.0, why="a density profile has no front speed at the tip")
     return cavity.radius * cavity.rate / (r * (1.0 - ratio(r, soil)))
@@ -364,7 +352,7 @@ def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
         0.04
     """
     _check_behind(r, front_radius(cavity, soil))
-    return sqrt(mean_ratio(r, soil) * r**2 + cavity.radius**2)
+    return ex.sqrt(mean_ratio(r, soil) * r**2 + cavity.radius**2)
 
 
 @checked_in_designs
@@ -457,7 +445,7 @@ def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
     pressure = soil.ambient_pressure + _pressure(r, cavity.radius, r_front, soil).around(cavity, soil)
     yielding = soil.yielding
     # (1 - mu)/(1 + mu), written so that it does not cancel near 90 degrees.
-    transferred = (cos(soil.friction_angle) / (1.0 + yielding.mu)) ** 2
+    transferred = (ex.cos(soil.friction_angle) / (1.0 + yielding.mu)) ** 2
     tangential = transferred * pressure - yielding.tau0 / (1.0 + yielding.mu)
     return Stress(radial=-pressure, tangential=-tangential)
 
@@ -485,10 +473,10 @@ def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
     if profile is None:
         return 0.0
     finer = replace(soil, density_profile=replace(profile, order=profile.order + profile.order // 2 + 1))
-    nearer = min(float(as_number(front_radius(cavity, ground))) for ground in (soil, finer))
+    nearer = min(float(ex.as_number(front_radius(cavity, ground))) for ground in (soil, finer))
     _check_behind(r, front_radius(cavity, soil))
-    places = np.minimum(as_number(r), nearer)
-    own, better = (as_number(stress(places, cavity, ground).radial) for ground in (soil, finer))
+    places = np.minimum(ex.as_number(r), nearer)
+    own, better = (ex.as_number(stress(places, cavity, ground).radial) for ground in (soil, finer))
     return float(np.max(np.abs(own - better)) / np.max(np.abs(better)))
 
 
@@ -514,19 +502,19 @@ def _pressure(r: Expression, radius: Expression, r_front: Expression, soil: Soil
     if soil.density_profile is None:
         # With r*^2 - y^2 = b1 (r*^2 - r^2) the logarithm of a ratio near 1 does not cancel.
         spread = (r_front - r) * (r_front + r) / y_squared
-        log_over_b1 = spread * log1p_ratio(soil.density_ratio * spread) / 2.0
+        log_over_b1 = spread * ex.log1p_ratio(soil.density_ratio * spread) / 2.0
         log = soil.density_ratio * log_over_b1
         jump: Expression = 1.0
-        swelling = log_over_b1 * expm1_ratio(nu * log)
-        spreading = swelling - log_over_b1 * wall / y_squared * expm1_ratio((nu - 2.0) * log)
+        swelling = log_over_b1 * ex.expm1_ratio(nu * log)
+        spreading = swelling - log_over_b1 * wall / y_squared * ex.expm1_ratio((nu - 2.0) * log)
     else:
         # R^2 is cancelled analytically in the difference of the squared radii of front and particle.
-        log = log1p((mean_ratio(r_front, soil) * r_front**2 - mean_ratio(r, soil) * r**2) / y_squared) / 2.0
+        log = ex.log1p((mean_ratio(r_front, soil) * r_front**2 - mean_ratio(r, soil) * r**2) / y_squared) / 2.0
         jump = (radius / r_front) ** 2 / (1.0 - ratio(r_front, soil))
         swelling, spreading = _inertia_of_profile(r, r_front, radius, soil)
     return WallPressure(
-        strength=log * expm1_ratio(nu * log) * yielding.strength(soil.ambient_pressure),
-        rate=exp(nu * log) * jump + spreading,
+        strength=log * ex.expm1_ratio(nu * log) * yielding.strength(soil.ambient_pressure),
+        rate=ex.exp(nu * log) * jump + spreading,
         inertia=swelling,
     )
 
@@ -543,17 +531,17 @@ def _inertia_of_profile(
     profile = soil.density_profile
     assert profile is not None
     nu, wall, mean = soil.yielding.nu, radius**2, mean_ratio(r_front, soil)
-    y_squared, per_mean = wall + mean_ratio(r, soil) * r**2, log1p_ratio(-mean)
-    first = r / radius * sqrt(log1p_ratio(mean * (r / radius) ** 2) / per_mean)
+    y_squared, per_mean = wall + mean_ratio(r, soil) * r**2, ex.log1p_ratio(-mean)
+    first = r / radius * ex.sqrt(ex.log1p_ratio(mean * (r / radius) ** 2) / per_mean)
     swelling: Expression = 0.0
     spreading: Expression = 0.0
-    for node, weight in zip(*gauss_legendre(profile.order), strict=True):
+    for node, weight in zip(*ex.gauss_legendre(profile.order), strict=True):
         sigma = first + (1.0 - first) * node
         exponent = mean * per_mean * sigma**2
-        square = wall * per_mean * sigma**2 * expm1_ratio(exponent)
-        of_square = weight * (1.0 - first) * wall * per_mean * sigma * exp(exponent)
-        compacted = mean_ratio(sqrt(square), soil) * square
+        square = wall * per_mean * sigma**2 * ex.expm1_ratio(exponent)
+        of_square = weight * (1.0 - first) * wall * per_mean * sigma * ex.exp(exponent)
+        compacted = mean_ratio(ex.sqrt(square), soil) * square
         here = wall + compacted
-        share = of_square * exp(nu * log1p((here - y_squared) / y_squared) / 2.0) / here
+        share = of_square * ex.exp(nu * ex.log1p((here - y_squared) / y_squared) / 2.0) / here
         swelling, spreading = swelling + share, spreading + share * compacted / here
     return swelling, spreading

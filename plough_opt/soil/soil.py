@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
+from plough_opt.core import expressions as ex
 from plough_opt.core.checks import (
     LARGEST,
     array_of,
@@ -20,21 +21,7 @@ from plough_opt.core.checks import (
     whole_number,
 )
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import (
-    COUNT,
-    Expression,
-    as_number,
-    cos,
-    exp,
-    expm1,
-    expm1_ratio,
-    is_symbolic,
-    log,
-    log1p,
-    log1p_ratio,
-    maximum,
-    sin,
-)
+from plough_opt.core.expressions import COUNT, Expression
 from plough_opt.core.plain_data import FUNCTION, Array
 from plough_opt.core.quantities import EVERY, QUANTITIES, read_fields
 from plough_opt.core.units import in_si
@@ -102,12 +89,12 @@ class Yielding:
 
     def growth(self, density_ratio: Expression) -> Expression:
         """Return phi = (a^(nu/2) - 1)/nu with a = 1/(1 - b1) [-], the factor of the strength in the wall pressure."""
-        log_a = -log1p(-density_ratio)
-        return log_a / 2.0 * expm1_ratio(self.nu * log_a / 2.0)
+        log_a = -ex.log1p(-density_ratio)
+        return log_a / 2.0 * ex.expm1_ratio(self.nu * log_a / 2.0)
 
     def density_ratio(self, growth: Expression) -> Expression:
         """Return b1 = 1 - (1 + nu phi)^(-2/nu), the inverse of `growth`; regular without internal friction."""
-        return -expm1(-2.0 * growth * log1p_ratio(self.nu * growth))
+        return -ex.expm1(-2.0 * growth * ex.log1p_ratio(self.nu * growth))
 
 
 @dataclass(frozen=True)
@@ -165,8 +152,8 @@ class Soil:
     @property
     def yielding(self) -> Yielding:
         """The yield condition of the soil."""
-        mu = sin(self.friction_angle)
-        return Yielding(mu, 2.0 * mu / (1.0 + mu), 2.0 * self.cohesion * cos(self.friction_angle))
+        mu = ex.sin(self.friction_angle)
+        return Yielding(mu, 2.0 * mu / (1.0 + mu), 2.0 * self.cohesion * ex.cos(self.friction_angle))
 
     def with_density_profile(
         self, density: Callable[..., Expression], *parameters: Expression, order: int = 16
@@ -263,16 +250,16 @@ class Soil:
             raise InputError("a soil with a density profile has no density ratio: give its profile another density")
         p, e = compression_test(pressure, compaction)
         at = soil.ambient_pressure
-        if not is_symbolic(at) and not np.all((p[0] <= as_number(at)) & (as_number(at) <= p[-1])):
+        if not ex.is_symbolic(at) and not np.all((p[0] <= ex.as_number(at)) & (ex.as_number(at) <= p[-1])):
             test = f"the compression test, {p[0] / 1e3:g} to {p[-1] / 1e3:g} kPa"
             raise InputError(f"ambient pressure = {shown(at)} Pa is outside {test}: set the soil's ambient_pressure")
         x, y = np.log(p), np.log(e)
         slopes = np.diff(y) / np.diff(x)
-        log_e = y[0] + slopes[0] * (log(at) - x[0])
+        log_e = y[0] + slopes[0] * (ex.log(at) - x[0])
         for knot, change in zip(x[1:-1].tolist(), np.diff(slopes).tolist(), strict=True):
-            log_e = log_e + change * maximum(log(at) - knot, 0.0)
+            log_e = log_e + change * ex.maximum(ex.log(at) - knot, 0.0)
         source = f"{soil.source}; density ratio from a compression test"
-        return replace(soil, density_ratio=1.0 - exp(log_e), name=f"{soil.name}, by compaction", source=source)
+        return replace(soil, density_ratio=1.0 - ex.exp(log_e), name=f"{soil.name}, by compaction", source=source)
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about unusual properties of a numeric soil.
@@ -284,7 +271,7 @@ class Soil:
             ['5.737']
         """
         warned, given = [], (self.cohesion, self.density_ratio, self.strength_factor)
-        cohesion, ratio, factor = (np.max(as_number(value)) for value in given)
+        cohesion, ratio, factor = (np.max(ex.as_number(value)) for value in given)
         if cohesion > _MOST_COHESION:
             most = f"{_MOST_COHESION / 1e3:g} kPa at most"
             warned.append(f"a cohesion of {cohesion / 1e3:.4g} kPa is more than soils have ({most})")
@@ -293,7 +280,7 @@ class Soil:
                 f"a density ratio of {ratio:.6g} is closer to 1 than in real soils ({_MOST_DENSITY_RATIO:g} at most):"
                 f" the radius of the compaction front is {(1.0 - ratio) ** -0.5:.3g} times that of the share"
             )
-        if np.any(as_number(self.strength_factor) != 1.0):
+        if np.any(ex.as_number(self.strength_factor) != 1.0):
             warned.append(f"the measured strength factor multiplies the law's static resistance by {factor:.4g}")
         return tuple(warned)
 
@@ -306,14 +293,14 @@ def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
     if adjust == "cohesion":
         level = soil.strength_factor * friction * phi
         without = yielding.nu * soil.ambient_pressure
-        if not (is_symbolic(reading) or is_symbolic(level * without)):
-            short = float(np.max(as_number(level * without) - as_number(reading)))
+        if not (ex.is_symbolic(reading) or ex.is_symbolic(level * without)):
+            short = float(np.max(ex.as_number(level * without) - ex.as_number(reading)))
             if short > 0.0:
                 above = f"a cone index {short / 1e3:.4g} kPa above the reading, so it cannot be matched by cohesion"
                 raise InputError(f"friction and ambient pressure alone give {above}: adjust the strength factor")
-        return (reading / level - without) * (1.0 + yielding.mu) / (2.0 * cos(soil.friction_angle))
+        return (reading / level - without) * (1.0 + yielding.mu) / (2.0 * ex.cos(soil.friction_angle))
     strength = yielding.strength(soil.ambient_pressure)
-    if not is_symbolic(strength) and np.any(as_number(strength) == 0.0):
+    if not ex.is_symbolic(strength) and np.any(ex.as_number(strength) == 0.0):
         raise InputError("soil without cohesion, and without friction or pressure, has zero strength: adjust cohesion")
     if adjust == "strength factor":
         return reading / (friction * phi * strength)

@@ -15,24 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from plough_opt.core import expressions as ex
 from plough_opt.core.checks import LARGEST, array_of, check_domain, check_kind, check_text, plain_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import (
-    Expression,
-    arcsinh,
-    as_number,
-    column,
-    exp,
-    gauss_legendre,
-    holds_casadi,
-    is_symbolic,
-    log,
-    maximum,
-    one_node,
-    rms,
-    sqrt,
-    total,
-)
+from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import read_fields
 
 # Longest common period of several waves, in multiples of the longest wavelength.
@@ -83,9 +69,9 @@ def turns_of(waves: Sequence[StrengthWave]) -> tuple[int, ...]:
     """
     if len(waves) == 1:
         return (1,)
-    if any(is_symbolic(wave.wavelength) for wave in waves):
+    if any(ex.is_symbolic(wave.wavelength) for wave in waves):
         raise InputError("a periodic orbit under several waves needs numeric wavelengths: they determine its period")
-    lengths = np.array([float(as_number(wave.wavelength)) for wave in waves])
+    lengths = np.array([float(ex.as_number(wave.wavelength)) for wave in waves])
     for count in range(1, _MOST_TURNS + 1):
         turns = count * np.max(lengths) / lengths
         if np.all(np.abs(turns - np.round(turns)) <= _COMMENSURATE * turns):
@@ -245,9 +231,9 @@ class Spectrum:
         """
         q, density = self._panels()
         known = (q[:-1], q[1:], density[:-1], np.diff(density) / np.diff(q))
-        panels = (column(x, holds_casadi(to)) for x in known)
+        panels = (ex.column(x, ex.holds_casadi(to)) for x in known)
         place, rate = _over_panels(*panels, to.force, to.stiffness, to.inertia, to.damping, to.speed)
-        return total(place), total(rate)
+        return ex.total(place), ex.total(rate)
 
     def _panels(self) -> tuple[Vector, Vector]:
         """Return ends and densities of the panels; if there are too many, neighbours are averaged at equal variance."""
@@ -292,8 +278,8 @@ def rare_peak(deviation: Expression, rate: Expression, time: Expression) -> Expr
         rate: standard deviation r of its rate of change [1/s].
         time: T [s].
     """
-    crossings = rate * time / (2.0 * math.pi * maximum(deviation, np.finfo(float).tiny))
-    return deviation * sqrt(2.0 * log((0.5 + crossings) / EXCEEDED))
+    crossings = rate * time / (2.0 * math.pi * ex.maximum(deviation, np.finfo(float).tiny))
+    return deviation * ex.sqrt(2.0 * ex.log((0.5 + crossings) / EXCEEDED))
 
 
 def stationary_response(
@@ -319,17 +305,17 @@ def stationary_response(
     forced = to.force**2 * strength - to.stiffness**2 * place
     stiff = 2.0 * to.stiffness * to.inertia - to.damping**2
     acceleration = (forced + stiff * rate) / to.inertia**2
-    acceleration = maximum(acceleration, rate**2 / maximum(place, np.finfo(float).tiny))
-    size, frequency = to.force / to.stiffness, sqrt(to.stiffness / to.inertia)
+    acceleration = ex.maximum(acceleration, rate**2 / ex.maximum(place, np.finfo(float).tiny))
+    size, frequency = to.force / to.stiffness, ex.sqrt(to.stiffness / to.inertia)
     return Stationary(
-        rms(force, to.force),
-        rms(place, size),
-        rms(rate, size * frequency),
-        rms(to.stiffness**2 * rate + damper**2 * acceleration, to.force * frequency),
+        ex.rms(force, to.force),
+        ex.rms(place, size),
+        ex.rms(rate, size * frequency),
+        ex.rms(to.stiffness**2 * rate + damper**2 * acceleration, to.force * frequency),
     )
 
 
-@one_node
+@ex.one_node
 def _over_panels(*given: Expression) -> tuple[Expression, ...]:
     """Return the integrals of |H|^2 S and omega^2 |H|^2 S over panels.
 
@@ -337,11 +323,11 @@ def _over_panels(*given: Expression) -> tuple[Expression, ...]:
         given: lower and upper ends of the panels, density at the lower end, slope, and the fields of `Sliding`.
     """
     (low, high, start, slope), to = given[:4], Sliding(*given[4:])
-    middle, width = sqrt(to.stiffness / to.inertia), to.damping / (2.0 * to.inertia)
-    first, last = (arcsinh((end * to.speed - middle) / width) for end in (low, high))
+    middle, width = ex.sqrt(to.stiffness / to.inertia), to.damping / (2.0 * to.inertia)
+    first, last = (ex.arcsinh((end * to.speed - middle) / width) for end in (low, high))
     place, rate = 0.0 * low, 0.0 * low
-    for node, weight in zip(*gauss_legendre(_NODES), strict=True):
-        up = exp(first + (last - first) * node)
+    for node, weight in zip(*ex.gauss_legendre(_NODES), strict=True):
+        up = ex.exp(first + (last - first) * node)
         frequency = middle + width * (up - 1.0 / up) / 2.0
         there = start + slope * (frequency / to.speed - low)
         part = weight * (last - first) * width * (up + 1.0 / up) / 2.0 / to.speed * there * to.squared(frequency)

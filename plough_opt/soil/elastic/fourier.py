@@ -6,7 +6,6 @@ numbers; a design uses the closed forms with `knots` on its profile.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from plough_opt.soil.soil import Soil
 
 Array = NDArray[np.float64]
 Curve = Callable[[float], float]
+Integrals = Callable[[Medium, Array, Array, Array, float, float], list[Any]]
 
 ORDER = 12
 """Default number of Gauss-Legendre nodes in a panel, which is one wavelength of the integrand wide."""
@@ -36,38 +36,6 @@ _GRADED = 44
 _SLOW = 0.2
 # Quadrature nodes for that mean.
 _SLOPE_NODES = 10
-
-
-@dataclass(frozen=True)
-class _Waves:
-    """A body's Fourier transform at the quadrature nodes over the wave number, and the points around the body.
-
-    Attributes:
-        medium: the soil at a speed.
-        at: rows (x, distance from the axis) [m], one per point.
-        shape: shape of the arrays in which the user gave the points.
-        p: wave numbers [1/m], above 0.
-        transform: (1/pi) int h' exp(i p x) dx times the quadrature weight, or the same with S' for h'.
-    """
-
-    medium: Medium
-    at: Array
-    shape: tuple[int, ...]
-    p: Array
-    transform: NDArray[np.complex128]
-
-    def over_points(self, integrals: Callable[[Array, Array, float, float], list[Any]]) -> list[Expression]:
-        """Return integrals at all points, each in the shape of the user's arrays, or as a float for a single point.
-
-        Args:
-            integrals: real and imaginary part of the transform times exp(-i p x), x, and distance from the axis ->
-                the integrals at a point.
-        """
-        rows = []
-        for x, distance in self.at:
-            wave = self.transform * np.exp(-1j * self.p * x)
-            rows.append(integrals(wave.real, wave.imag, x, distance))
-        return [column.reshape(self.shape) if self.shape else float(column[0]) for column in np.array(rows).T]
 
 
 def wedge_stress(
@@ -88,16 +56,15 @@ def wedge_stress(
         DomainError: a number is outside its domain, or a point is so near that the quadrature would take too long.
         InputError: an argument holds symbols, or the soil lacks elastic constants.
     """
-    waves = _waves(profile, x, y, length, soil, speed, order)
-    p, state = waves.p, waves.medium
 
-    def integrals(along: Array, across: Array, _: float, y: Any) -> list[Any]:
+    def integrals(state: Medium, p: Array, along: Array, across: Array, _x: float, y: Any) -> list[Any]:
         fast, slow = np.exp(-p * state.alpha * y), np.exp(-p * state.eta * y)
         # (exp(-p alpha y) - exp(-p eta y))/m, with alpha - eta = m c.
         change = -p * state.slowing * y * slow * expm1_ratio(-p * state.m * state.slowing * y)
         return [-across @ fast, -across @ change, along @ fast, -(along @ change)]
 
-    return wedges.stress_of(wedges.Potentials(*waves.over_points(integrals)), state)
+    found, state = _integrated(profile, x, y, length, soil, speed, order, integrals)
+    return wedges.stress_of(wedges.Potentials(*found), state)
 
 
 def cone_displacement(
@@ -153,10 +120,7 @@ def _cone(
     def section(x: float) -> float:
         return factor * float(profile(min(max(x, 0.0), length))) ** 2
 
-    waves = _waves(section, x, r, length, soil, speed, order, graded=True)
-    p, state = waves.p, waves.medium
-
-    def integrals(along: Array, across: Array, x: float, r: float) -> list[Any]:
+    def integrals(state: Medium, p: Array, along: Array, across: Array, x: float, r: float) -> list[Any]:
         fast, change, turned, turned_change = _bessel(p * r, state)
         return [
             along @ fast,
@@ -169,7 +133,7 @@ def _cone(
             r,
         ]
 
-    *found, displaced, away = waves.over_points(integrals)
+    (*found, displaced, away), state = _integrated(section, x, r, length, soil, speed, order, integrals, graded=True)
     return cones.ConePotentials(*found), displaced, away, state
 
 
@@ -190,11 +154,11 @@ def _bessel(z: Array, state: Medium) -> tuple[Array, Array, Array, Array]:
     return fast, change, turned, turned_change
 
 
-def _waves(
+def _integrated(
     curve: Curve, x: Expression, distance: Expression, length: float, soil: Soil, speed: float, order: int,
-    *, graded: bool = False,
-) -> _Waves:  # fmt: skip
-    """Check the arguments, and return the transform of a curve's slope for integrals at all points.
+    integrals: Integrals, *, graded: bool = False,
+) -> tuple[list[Expression], Medium]:  # fmt: skip
+    """Check the arguments, and return integrals over the wave number at all points, and the medium.
 
     Args:
         curve: half thickness, or S, as a function of x.
@@ -204,6 +168,8 @@ def _waves(
         soil: the soil.
         speed: V0 [m/s].
         order: Gauss-Legendre nodes in a panel.
+        integrals: (medium, wave numbers, real and imaginary part of the curve's transform times exp(-i p x) and the
+            quadrature weight, x, distance) -> the integrals at a point.
         graded: whether the panels become narrower towards a wave number of 0.
     """
     if holds_casadi((x, distance, length, soil, speed)):
@@ -237,7 +203,12 @@ def _waves(
     chunks = np.array_split(p, max(p.size * s.size // 4_000_000, 1))
     moment = np.concatenate([np.exp(1j * np.outer(part, s)) @ weighted for part in chunks])
     transform = (end * np.exp(1j * p * length) - 1j * p * moment) / math.pi * weights
-    return _Waves(state, np.column_stack([across.ravel(), away.ravel()]), across.shape, p, transform)
+    rows = []
+    for place, apart in zip(across.ravel(), away.ravel(), strict=True):
+        wave = transform * np.exp(-1j * p * place)
+        rows.append(integrals(state, p, wave.real, wave.imag, place, apart))
+    shape = across.shape
+    return [row.reshape(shape) if shape else float(row[0]) for row in np.array(rows).T], state
 
 
 def _panels(length: float, width: float, order: int, graded: bool) -> tuple[Array, Array]:

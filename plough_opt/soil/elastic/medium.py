@@ -8,6 +8,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from plough_opt.core import expressions as ex
 from plough_opt.core.checks import (
     LEAST,
     NOT_NUMBERS,
@@ -20,22 +21,7 @@ from plough_opt.core.checks import (
     whole_number,
 )
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import (
-    Expression,
-    absolute,
-    arctan2,
-    arctan_ratio,
-    arctanh_ratio,
-    as_number,
-    column,
-    holds_casadi,
-    is_symbolic,
-    log,
-    maximum,
-    minimum,
-    sqrt,
-    where,
-)
+from plough_opt.core.expressions import Expression
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.soil import Soil, check_soil
 
@@ -75,7 +61,7 @@ def shear_modulus(soil: Soil) -> Expression:
         >>> round(float(po.elastic.shear_modulus(soil)) / 1e6, 3)
         3.759
     """
-    modulus, ratio = _constants(soil)
+    modulus, ratio, _ = _constants(soil)
     return modulus / (2.0 * (1.0 + ratio))
 
 
@@ -92,7 +78,7 @@ def shear_wave_speed(soil: Soil) -> Expression:
         >>> round(float(po.elastic.shear_wave_speed(soil)), 2)
         52.77
     """
-    return sqrt(shear_modulus(soil) / soil.density)
+    return ex.sqrt(shear_modulus(soil) / soil.density)
 
 
 @checked_in_designs
@@ -108,7 +94,7 @@ def longitudinal_wave_speed(soil: Soil) -> Expression:
         >>> round(float(po.elastic.longitudinal_wave_speed(soil)), 2)
         104.76
     """
-    return shear_wave_speed(soil) / sqrt(_kappa(_constants(soil)[1]))
+    return shear_wave_speed(soil) / ex.sqrt(_constants(soil)[2])
 
 
 @checked_in_designs
@@ -127,14 +113,12 @@ def rayleigh_speed(soil: Soil) -> Expression:
         >>> round(float(po.elastic.rayleigh_speed(soil)), 2)
         49.18
     """
-    speed = shear_wave_speed(soil)
-    _, ratio = _constants(soil)
-    kappa = _kappa(ratio)
+    _, ratio, kappa = _constants(soil)
     m = ((0.87 + 1.12 * ratio) / (1.0 + ratio)) ** 2
     for _ in range(_RAYLEIGH_STEPS):
         value = ((m - 8.0) * m + 8.0 * (3.0 - 2.0 * kappa)) * m - 16.0 * (1.0 - kappa)
         m = m - value / ((3.0 * m - 16.0) * m + 8.0 * (3.0 - 2.0 * kappa))
-    return speed * sqrt(m)
+    return shear_wave_speed(soil) * ex.sqrt(m)
 
 
 @dataclass(frozen=True)
@@ -207,35 +191,30 @@ def medium(soil: Soil, speed: Expression) -> Medium:
     mach = speed / fastest
     why = "the elastic medium is solved up to the shear wave speed; see elastic.shear_wave_speed(soil)"
     check_domain("speed over shear wave speed", mach, at_most=1.0, why=why, inside=BELOW_SHEAR_WAVES)
-    _, ratio = _constants(soil)
-    kappa = _kappa(ratio)
+    _, ratio, kappa = _constants(soil)
     m = mach**2
     # Near the shear wave speed 1 - m cancels; at low speed the derivative of the product does.
-    eta_squared = where(m < 0.5, 1.0 - m, (fastest - speed) * (fastest + speed) / fastest**2)
+    eta_squared = ex.where(m < 0.5, 1.0 - m, (fastest - speed) * (fastest + speed) / fastest**2)
     return Medium(
         shear_modulus=modulus,
         m=m,
         kappa=kappa,
         stiffening=ratio / (1.0 - ratio),
-        alpha=sqrt(1.0 - kappa * m),
-        eta=sqrt(eta_squared),
+        alpha=ex.sqrt(1.0 - kappa * m),
+        eta=ex.sqrt(eta_squared),
         mach=mach,
     )
 
 
-def _constants(soil: Soil) -> tuple[Expression, Expression]:
-    """Return Young's modulus [Pa] and Poisson's ratio."""
+def _constants(soil: Soil) -> tuple[Expression, Expression, Expression]:
+    """Return Young's modulus [Pa], Poisson's ratio nu, and kappa = (c2/c1)^2 = (1 - 2 nu)/(2 (1 - nu))."""
     check_soil(soil)
-    known: dict[str, Any] = {name: getattr(soil, name) for name in ("youngs_modulus", "poisson_ratio")}
-    for name, value in known.items():
-        if value is None:
+    for name in ("youngs_modulus", "poisson_ratio"):
+        if getattr(soil, name) is None:
             raise InputError(f"the elastic medium needs {name}, but {soil.name} does not have it: set soil.{name}")
-    return known["youngs_modulus"], known["poisson_ratio"]
-
-
-def _kappa(poisson_ratio: Expression) -> Expression:
-    """Return (c2/c1)^2 = (1 - 2 nu)/(2 (1 - nu))."""
-    return (1.0 - 2.0 * poisson_ratio) / (2.0 * (1.0 - poisson_ratio))
+    modulus: Any = soil.youngs_modulus
+    ratio: Any = soil.poisson_ratio
+    return modulus, ratio, (1.0 - 2.0 * ratio) / (2.0 * (1.0 - ratio))
 
 
 # --- differences divided by m, which is small at low speed, without cancellation -------------------------------------
@@ -244,17 +223,17 @@ def _kappa(poisson_ratio: Expression) -> Expression:
 def log_difference(a: Expression, b: Expression, change: Expression, m: Expression = 1.0) -> Expression:
     """Return ln(a/b)/m for positive a and b whose difference a - b = m change is known to rounding."""
     w = change / (a + b)
-    near = absolute(m * w) < _SERIES_BELOW
-    close = 2.0 * w * arctanh_ratio(where(near, m * w, 0.0))
-    return where(near, close, log(a / b) / where(near, 1.0, m))
+    near = ex.absolute(m * w) < _SERIES_BELOW
+    close = 2.0 * w * ex.arctanh_ratio(ex.where(near, m * w, 0.0))
+    return ex.where(near, close, ex.log(a / b) / ex.where(near, 1.0, m))
 
 
 def angle_difference(rise: Expression, run: Expression, m: Expression) -> Expression:
     """Return the angle of the point (run, m rise), divided by m, without cancellation for small m."""
-    near = absolute(m * rise) < _SERIES_BELOW * run
-    safe_run = where(near, run, 1.0)
-    close = rise / safe_run * arctan_ratio(where(near, m * rise / safe_run, 0.0))
-    return where(near, close, arctan2(m * rise, where(near, 1.0, run)) / where(near, 1.0, m))
+    near = ex.absolute(m * rise) < _SERIES_BELOW * run
+    safe_run = ex.where(near, run, 1.0)
+    close = rise / safe_run * ex.arctan_ratio(ex.where(near, m * rise / safe_run, 0.0))
+    return ex.where(near, close, ex.arctan2(m * rise, ex.where(near, 1.0, run)) / ex.where(near, 1.0, m))
 
 
 @dataclass(frozen=True)
@@ -306,7 +285,7 @@ class Body:
     def height(self, x: Expression) -> Expression:
         """Return the half thickness or radius at x [m]; it is constant behind the last node."""
         pieces = self.pieces(self.offsets(x))
-        return sum(piece.slope * minimum(maximum(behind, 0.0), piece.length) for piece, behind, _ in pieces)
+        return sum(piece.slope * ex.minimum(ex.maximum(behind, 0.0), piece.length) for piece, behind, _ in pieces)
 
 
 def body(profile: Profile) -> Body:
@@ -319,7 +298,15 @@ def body(profile: Profile) -> Body:
     if isinstance(profile, Wedge | Cone):
         cone = profile.equivalent_cone() if isinstance(profile, Wedge) else profile
         return Body((0.0, cone.height), (0.0, cone.height * cone.slope))
-    pairs = _pairs(profile)
+    wanted = "a profile is a sequence of nodes (x, half thickness or radius) in metres, a Wedge or a Cone"
+    try:
+        pairs: list[tuple[Expression, ...]] = [tuple(node) for node in profile]
+    except TypeError:
+        raise InputError(f"{wanted}, not {shown(profile)}") from None
+    if len(pairs) < 2:
+        raise InputError(f"{wanted}, with at least two nodes, not {len(pairs)}")
+    if wrong := [pair for pair in pairs if len(pair) != 2]:
+        raise InputError(f"{wanted}: {shown(wrong[0])} is not a pair")
     for k, (place, height) in enumerate(pairs):
         check_domain(f"x of node {k + 1} of the profile", place, "m")
         check_domain(f"half thickness or radius at node {k + 1} of the profile", height, "m", at_least=0.0)
@@ -382,9 +369,9 @@ def points(first: Expression, second: Expression, *others: Any) -> tuple[Express
     first, second = (np.asarray(value) if isinstance(value, list | tuple) else value for value in (first, second))
     for name, value in (("x", first), ("distance from the axis", second)):
         check_domain(name, value, "m")
-    if holds_casadi((first, second, others)):
+    if ex.holds_casadi((first, second, others)):
         first, second = (
-            column(np.asarray(value, dtype=float).ravel(), True) if isinstance(value, np.ndarray) else value
+            ex.column(np.asarray(value, dtype=float).ravel(), True) if isinstance(value, np.ndarray) else value
             for value in (first, second)
         )
     return first, second
@@ -393,23 +380,8 @@ def points(first: Expression, second: Expression, *others: Any) -> tuple[Express
 def check_off_nodes(offsets: Sequence[Expression], distance: Expression) -> None:
     """Raise DomainError if a numeric point lies on a node, where the stresses are infinite."""
     for k, offset in enumerate(offsets):
-        if is_symbolic(offset) or is_symbolic(distance):
+        if ex.is_symbolic(offset) or ex.is_symbolic(distance):
             continue
         # The squares of smaller numbers underflow.
-        if np.any((np.abs(as_number(offset)) < LEAST) & (np.abs(as_number(distance)) < LEAST)):
+        if np.any((np.abs(ex.as_number(offset)) < LEAST) & (np.abs(ex.as_number(distance)) < LEAST)):
             raise DomainError(f"a point lies on node {k + 1} of the profile, where stresses are infinite: move it")
-
-
-def _pairs(profile: Any) -> list[tuple[Expression, Expression]]:
-    """Return the nodes of a profile as pairs; raise InputError if they are not at least two pairs."""
-    wanted = "a profile is a sequence of nodes (x, half thickness or radius) in metres, a Wedge or a Cone"
-    try:
-        pairs = [tuple(node) for node in profile]
-    except TypeError:
-        raise InputError(f"{wanted}, not {shown(profile)}") from None
-    if len(pairs) < 2:
-        raise InputError(f"{wanted}, with at least two nodes, not {len(pairs)}")
-    for pair in pairs:
-        if len(pair) != 2:
-            raise InputError(f"{wanted}: {shown(pair)} is not a pair")
-    return [(pair[0], pair[1]) for pair in pairs]

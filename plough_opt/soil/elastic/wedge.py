@@ -16,23 +16,9 @@ from functools import partial
 
 import numpy as np
 
+from plough_opt.core import expressions as ex
 from plough_opt.core.checks import check_domain, check_single, check_switch
-from plough_opt.core.expressions import (
-    Expression,
-    absolute,
-    arctan2,
-    column,
-    exp,
-    gauss_legendre,
-    holds_casadi,
-    log,
-    maximum,
-    minimum,
-    one_node,
-    sqrt,
-    total,
-    where,
-)
+from plough_opt.core.expressions import Expression
 from plough_opt.soil.elastic import cone as cones
 from plough_opt.soil.elastic.medium import (
     FAR,
@@ -126,7 +112,7 @@ def potentials(offsets: list[Expression], y: Expression, wedge: Body, soil: Medi
     return Potentials(*map(sum, zip(*pieces, strict=True)))
 
 
-@one_node
+@ex.one_node
 def _piece(
     x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
 ) -> tuple[Expression, ...]:
@@ -143,7 +129,7 @@ def _piece(
     return (
         log_difference(*fast, change) / 2.0,
         log_difference(*crossed, -(1.0 - kappa) * y**2 * change, m) / 2.0,
-        arctan2(alpha * y * length, (alpha * y) ** 2 + x0 * x1),
+        ex.arctan2(alpha * y * length, (alpha * y) ** 2 + x0 * x1),
         angle_difference(rise, run, m),
     )
 
@@ -283,7 +269,7 @@ def face_pressure(offsets: list[Expression], wedge: Body, soil: Medium) -> Expre
     return -soil.shear_modulus * soil.rayleigh / soil.alpha * q
 
 
-@one_node
+@ex.one_node
 def _face_log(x0: Expression, x1: Expression, length: Expression) -> tuple[Expression, ...]:
     """Return ln(X0^2/X1^2)."""
     return (log_difference(x0**2, x1**2, length * (x0 + x1)),)
@@ -295,7 +281,7 @@ def _place(
     """Return distances from the nodes, |y|, the sign of y (1 or -1), and the body."""
     wedge = body(profile)
     x, y = points(x, y, wedge, soil)
-    side = where(y < 0.0, -1.0, 1.0)
+    side = ex.where(y < 0.0, -1.0, 1.0)
     return wedge.offsets(x), side * y, side, wedge
 
 
@@ -306,7 +292,7 @@ def _potentials_at(x: Expression, y: Expression, profile: Profile, soil: Medium)
     return potentials(offsets, y, wedge, soil), side
 
 
-@one_node
+@ex.one_node
 def _shift(
     x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
 ) -> tuple[Expression, ...]:
@@ -317,17 +303,17 @@ def _shift(
 
     def angle(x: Expression) -> Expression:
         """Return that of -x + i alpha y, and twice the difference of those of x + i alpha y and x + i eta y over m."""
-        return arctan2(alpha * y, -x) + 2.0 * angle_difference(slowing * y * x, x**2 + product + _TINY, m)
+        return ex.arctan2(alpha * y, -x) + 2.0 * angle_difference(slowing * y * x, x**2 + product + _TINY, m)
 
     fast0, fast1, slow0, slow1 = (x**2 + (k * y) ** 2 + _TINY for k in (alpha, eta) for x in (x0, x1))
     log_fast = log_difference(fast0, fast1, change)
     log_change = log_difference(fast0 * slow1, slow0 * fast1, -(1.0 - kappa) * y**2 * change, m)
     near_by = x0 * angle(x0) - x1 * angle(x1)
     near_by = near_by + y * ((slowing - alpha / 2.0) * log_fast + eta * log_change)
-    nodes = zip(*gauss_legendre(FAR_NODES), strict=True)
+    nodes = zip(*ex.gauss_legendre(FAR_NODES), strict=True)
     from_far = sum(weight * length * angle(x0 - node * length) for node, weight in nodes)
-    far = sqrt(slow0) + sqrt(slow1) > FAR * length
-    return (where(far, from_far, near_by),)
+    far = ex.sqrt(slow0) + ex.sqrt(slow1) > FAR * length
+    return (ex.where(far, from_far, near_by),)
 
 
 @dataclass(frozen=True)
@@ -348,7 +334,7 @@ class _Half:
 
     def distance(self, tau: Expression) -> Expression:
         """Return the distance from the node [m]."""
-        return self.segment.length / 2.0 * exp(-tau)
+        return self.segment.length / 2.0 * ex.exp(-tau)
 
     def offsets(self, tau: Expression) -> list[Expression]:
         """Return the distances from all nodes [m]; the distance from its own node is accurate to rounding."""
@@ -374,16 +360,16 @@ Field = Callable[[_Half, Expression], Expression]
 def _ends(symbolic: bool) -> Pair:
     """Return the start and end of each cell of a half in tau."""
     cells = np.array(_CELLS)
-    return column(cells[:-1], symbolic), column(cells[1:], symbolic)
+    return ex.column(cells[:-1], symbolic), ex.column(cells[1:], symbolic)
 
 
 def _over(half: _Half, first: Expression, last: Expression, pressure: Field, weight: Field) -> Expression:
     """Return int p w dx along the face over parts of the cells, from first to last in tau."""
     value: Expression = 0.0
-    for node, share in zip(*gauss_legendre(_ORDER), strict=True):
+    for node, share in zip(*ex.gauss_legendre(_ORDER), strict=True):
         tau = first + (last - first) * node
         value = value + share * (last - first) * half.distance(tau) * (pressure(half, tau) * weight(half, tau))
-    return total(value)
+    return ex.total(value)
 
 
 def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Expression:
@@ -395,8 +381,8 @@ def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Express
         for begin, end in _monotonic(along, (first, last), len(face.segments)):
             at_begin, at_end = along(begin), along(end)
             turn = _root(along, (begin, end), (at_begin, at_end))
-            turn = where((at_begin < 0.0) != (at_end < 0.0), turn, end)
-            lost_from, lost_to = where(at_begin < 0.0, begin, turn), where(at_begin < 0.0, turn, end)
+            turn = ex.where((at_begin < 0.0) != (at_end < 0.0), turn, end)
+            lost_from, lost_to = ex.where(at_begin < 0.0, begin, turn), ex.where(at_begin < 0.0, turn, end)
             total = total - _over(half, lost_from, lost_to, pressure, weight)
     return total
 
@@ -416,7 +402,7 @@ def _monotonic(function: Curve, ends: Pair, pieces: int) -> list[Pair]:
         return function(tau + step) - function(tau - step)
 
     at_first, at_last = slope(ends[0]), slope(ends[1])
-    top = where(at_first * at_last < 0.0, _root(slope, ends, (at_first, at_last)), ends[1])
+    top = ex.where(at_first * at_last < 0.0, _root(slope, ends, (at_first, at_last)), ends[1])
     return [(ends[0], top), (top, ends[1])]
 
 
@@ -428,14 +414,14 @@ def _root(function: Curve, ends: Pair, values: Pair) -> Expression:
     for _ in range(_ROOT_STEPS):
         span = at_high - at_low
         # Both values are zero once the root is found to all digits.
-        open_ = absolute(span) > 0.0
-        crossing = where(open_, (low * at_high - high * at_low) / where(open_, span, 1.0), high)
+        open_ = ex.absolute(span) > 0.0
+        crossing = ex.where(open_, (low * at_high - high * at_low) / ex.where(open_, span, 1.0), high)
         # In cells without a change of sign the guess has no meaning, but must stay finite.
-        guess = minimum(maximum(crossing, ends[0]), ends[1])
+        guess = ex.minimum(ex.maximum(crossing, ends[0]), ends[1])
         found = function(guess)
         same = found * at_high > 0.0
         # Halving the value at the retained end makes that end move too.
-        low, at_low = where(same, low, high), where(same, at_low / 2.0, at_high)
+        low, at_low = ex.where(same, low, high), ex.where(same, at_low / 2.0, at_high)
         high, at_high = guess, found
     return guess
 
@@ -480,7 +466,7 @@ def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: 
         def weight(half: _Half, _tau: Expression) -> Expression:
             return half.segment.slope + soil.tool_friction
 
-        force = force + 2.0 * _lost(face, pressure, weight, holds_casadi((face, soil, speed)))
+        force = force + 2.0 * _lost(face, pressure, weight, ex.holds_casadi((face, soil, speed)))
     return force
 
 
@@ -489,7 +475,7 @@ def _face_integral(face: Body, state: Medium) -> Expression:
 
     def moment(node: int, end: int) -> Expression:
         distance = face.places[end] - face.places[node]
-        return 0.0 if node == end else distance * log(absolute(distance))
+        return 0.0 if node == end else distance * ex.log(ex.absolute(distance))
 
     first, last = 0, len(face.places) - 1
     total: Expression = 0.0
@@ -541,7 +527,7 @@ def cone_force(
     check_single("the contact force of the elastic medium", (face, soil, speed, section_factor))
     for radius in face.heights[1:-1] or face.heights[-1:]:
         check_domain("radius at a node between the first and the last", radius, "m", above=0.0)
-    symbolic = holds_casadi((face, soil, speed, section_factor))
+    symbolic = ex.holds_casadi((face, soil, speed, section_factor))
 
     def pressure(half: _Half, tau: Expression) -> Expression:
         return cones.face_pressure(half.offsets(tau), half.height(tau), face, state, section_factor)

@@ -14,7 +14,7 @@ from matplotlib.transforms import Bbox
 
 import plough_opt as po
 from plough_opt.app import plots
-from plough_opt.app.plots import deflection_of
+from plough_opt.app.panels import deflection_of, draw_panel
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.design import Limit
@@ -99,7 +99,7 @@ def test_constant_panels_are_omitted(scene):
 def test_a_constant_is_drawn_without_its_rounding_and_times_of_rest_are_shaded():
     steady = po.simulate(scene_of(motion=False, inertial_drag=False, tow_ramp=0.1), 0.2, outputs=20)
     axes = Figure().subplots()
-    plots.draw_panel(axes, steady, deflection_of(steady))  # as an animation does
+    draw_panel(axes, steady, deflection_of(steady))  # as an animation does
     assert legend(axes) == ["deflection", f"mean {steady.mean_deflection:.3g} m"]
     assert axes.get_ylim()[0] < 0.96 * steady.mean_deflection
     slight = po.simulate(scene_of(strength_wave=po.StrengthWave(1e-3, 0.2)), 0.2, outputs=20)

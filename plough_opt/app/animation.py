@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from plough_opt.app.page import motion, rendered
-from plough_opt.app.plots import LIMIT, SHARE, SOIL, STRUT, changing, deflection_of, draw_panel, subject
+from plough_opt.app.panels import LIMIT, SHARE, SOIL, STRUT, changing, deflection_of, draw_panel, subject
 from plough_opt.core.checks import check_domain, path_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, sin

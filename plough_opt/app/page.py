@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from plough_opt.app.page_model import PageModel, design_model, page_model, shown_in, without_random
-from plough_opt.app.plots import Panel, changing, deflection_of, force_of
+from plough_opt.app.panels import Panel, changing, deflection_of, force_of
 from plough_opt.app.tables import ROUNDING, sensitivities_of
 from plough_opt.core.checks import path_of, whole_number
 from plough_opt.core.errors import InputError, listed

@@ -104,13 +104,6 @@ def test_any_small_table_gives_an_answer_or_an_input_error(seed):
     assert str(fit) == str(copy.deepcopy(fit))
 
 
-def test_a_set_given_twice_is_refused():
-    data = table(4)
-    with pytest.raises(po.InputError, match="is given twice"):
-        po.calibrate(steady_scene(), [data, data], COHESION)
-    assert po.calibrate(steady_scene(), [data, table(4)], COHESION).freedom == 7  # equal, but another measurement
-
-
 def test_a_fit_is_a_value():
     data = table(6)
     fit, again = (po.calibrate(steady_scene(), data, BOTH) for _ in range(2))
@@ -184,14 +177,6 @@ def test_the_fit_is_that_of_iterated_weights():
     assert "of the predicted values" in str(found)
 
 
-def test_relative_errors_and_sigma_exclude_each_other():
-    stated = po.Measurements("mean_draft", EXACT, CONDITIONS, sigma=100.0)
-    with pytest.raises(po.InputError, match="sigma states the errors"):
-        po.calibrate(steady_scene(), stated, UNKNOWN, errors="relative")
-    with pytest.raises(po.InputError, match="errors"):
-        po.calibrate(steady_scene(), stated, UNKNOWN, errors="proportional")
-
-
 # --- undetermined combinations, against closed forms of the model's own degeneracies ---
 
 STRENGTH = {name: BOUNDS[name] for name in ("soil.cohesion", "soil.ambient_pressure", "soil.tool_friction")}
@@ -233,21 +218,6 @@ def test_an_undetermined_unknown_does_not_change_the_others(confounded, measured
     assert confounded.values[name] == pytest.approx(fit.values[name], abs=0.02 * error)
     assert confounded.standard_errors[name] == pytest.approx(error, rel=0.02)
     assert tuple(confounded.intervals()[name]) == pytest.approx(tuple(fit.intervals()[name]), abs=0.12 * error)
-
-
-def test_a_single_unknown_that_the_data_hardly_narrow(plane):
-    conditions, exact, _ = plane
-    data = po.Measurements("mean_draft", exact, conditions, sigma=100.0 * exact)
-    (found,) = po.calibrate(steady_scene(), data, {"soil.cohesion": BOUNDS["soil.cohesion"]}).unidentifiable
-    assert found.words.startswith("soil.cohesion is hardly determined")
-
-
-def test_exact_drafts_separate_them_no_better(plane):
-    conditions, exact, _ = plane
-    data = po.Measurements("mean_draft", exact, conditions, sigma=1e-8 * exact)
-    fit = po.calibrate(steady_scene(), data, STRENGTH)
-    assert [found.structural for found in fit.unidentifiable] == [True]
-    assert fit.intervals()["soil.tool_friction"].kind == "linearised"  # too short to differ
 
 
 def test_an_unknown_without_effect_is_named(measured):

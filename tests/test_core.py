@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -9,9 +10,12 @@ import pytest
 from helpers.high_precision import assert_close, derivatives, mp
 
 import plough_opt as po
+from plough_opt.core import checks
 from plough_opt.core import expressions as ex
-from plough_opt.core.checks import DomainLimit, Meanings, attach, labels_in, meaning_of
+from plough_opt.core.checks import DomainLimit, attach, labels_in, meaning_of, shared
 from plough_opt.core.errors import merge
+from plough_opt.core.expressions import is_symbolic
+from plough_opt.design.model.tight_integration import TightEvaluation
 
 # --- functions of floats, arrays and CasADi expressions, and ratios without cancellation ---
 
@@ -176,37 +180,40 @@ def test_labels_are_found_each_with_its_meaning():
     assert len({hash(node.which_function()) for node in labels_in(graph)}) == 3  # equal meanings share one
 
 
-def called(meanings, key):
+def called(key):
     """Return a graph that holds the only reference to the Function it calls."""
     x = ca.MX.sym("x")
-
-    def make():
-        return ca.Function("own", [x], [ca.sin(x)], {"never_inline": True}), key
-
-    return meanings.shared(key, make)(x) + 1.0
+    return shared(key, lambda: (ca.Function("own", [x], [ca.sin(x)], {"never_inline": True}), key))(x) + 1.0
 
 
 def test_meanings_live_as_long_as_the_graphs_that_use_them():
-    meanings, x, others = Meanings(), ca.MX.sym("x"), []
-    kept = {k: called(meanings, k) for k in range(0, 2000, 100)}
-    most = 0
+    x, others = ca.MX.sym("x"), []
+    graphs = {k: called(k) for k in range(0, 2000, 100)}
     for k in range(2000, 4000):
-        called(meanings, k)
+        called(k)
         others.append(ca.Function("other", [x], [x]))  # takes the place of a freed one
-        most = max(most, len(meanings))
-    assert most <= 2 * (64 + len(kept))  # twice those that are alive or cached
-    for key, graph in kept.items():
-        assert meanings.of(graph.dep(1).dep(0).which_function()) == key
+    assert len(checks._meanings) <= len(graphs) + 200
+    assert all(meaning_of(other) is None for other in others)
+    for key, graph in graphs.items():
+        assert meaning_of(graph.dep(1).dep(0).which_function()) == key
 
 
-def test_a_new_function_at_a_freed_address_has_no_meaning():
-    meanings, x = Meanings(), ca.MX.sym("x")
-    places = {hash(meanings.shared(k, lambda: (ca.Function("own", [x], [ca.sin(x)]), "own"))) for k in range(200)}
-    # The most recent Functions are cached for similar graphs.
-    places -= {hash(function) for function, _ in meanings._recent.values()}
-    others = [ca.Function("other", [x], [ca.cos(x)]) for _ in range(2000)]
-    assert any(hash(other) in places for other in others)  # else this shows nothing
-    assert all(meanings.of(other) is None for other in others)
+@pytest.mark.parametrize("medium", po.laws.LAWS)
+def test_a_design_keeps_the_limits_that_its_scene_lists(medium):
+    """Also those on a speed of which the draft at rest does not depend."""
+    d = po.Design()
+    speed = d.variable("speed", guess="2 m/s", lower="1 m/s", upper="4 m/s")
+    soil = replace(po.named_soil("serozem"), youngs_modulus=1e7, poisson_ratio=0.3)
+    still = po.Effects(motion=False)
+    scene = po.Scene(soil, po.Wedge(po.deg(30), po.deg(55), 0.25), 5e4, 30.0, 1.1 * speed, still, medium)
+    d.minimise(po.simulate(scene, "0.2 s").mean_draft)
+    evaluation = TightEvaluation(d.declared.expressions(), d.declared.symbols())
+    listed = {(limit.name, *limit.kept, limit.unit): value for limit, value in scene.limits() if is_symbolic(value)}
+    assert medium in ("plastic", "elastic") or listed
+    assert [(name, *rest) for name, _, *rest in evaluation.limits] == sorted(listed)
+    for name, value, *rest in evaluation.limits:
+        (one, other) = ca.Function("both", d.declared.symbols(), [value, listed[name, *rest]])(2.5)
+        assert np.all(np.asarray(one) == np.asarray(other))
 
 
 # --- notes that differ only in their numbers become one note with the ranges of these ---

@@ -13,9 +13,9 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import LARGEST, DomainLimit, limits_of_laws, unlabelled
+from plough_opt.core.checks import LARGEST, DomainLimit, unlabelled
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, gauss_legendre, stacked
+from plough_opt.core.expressions import Expression, gauss_legendre, is_symbolic, stacked
 from plough_opt.core.quantities import EVERY, Quantity, wave_table
 from plough_opt.core.units import Display, customary
 from plough_opt.design import Design
@@ -248,10 +248,10 @@ def _variant(problem: Problem, given: Mapping[str, Any], x: Any, changes: Mappin
         InputError: effects exclude each other, or the file asks for a result that needs one of them.
     """
     kind: Any = type(x)
-    with limits_of_laws() as limits:
-        scene = problem.scene(given)
-        scene = replace(scene, effects=replace(scene.effects, **changes))
-        scene.check_reaction()
+    scene = problem.scene(given)
+    scene = replace(scene, effects=replace(scene.effects, **changes))
+    scene.check_reaction()
+    limits = [(limit, value) for limit, value in scene.limits() if is_symbolic(value)]
     moves, structure = scene.effects.motion, Structure.of(scene)
     equation = equation_of(structure) if moves else None
     states, count, squared = (equation.states, equation.count, equation.squared) if equation else (2, 0, 0)

@@ -7,9 +7,8 @@ its meaning says what they are for.
 
 import math
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -17,7 +16,7 @@ from numbers import Integral
 from os import PathLike
 from pathlib import Path
 from types import UnionType
-from typing import Any, Final, Generic, ParamSpec, TypeAlias, TypeVar
+from typing import Any, Final, ParamSpec, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -35,7 +34,6 @@ from plough_opt.core.expressions import (
     is_symbolic,
     map_expressions,
     template_of,
-    with_numbers,
 )
 
 NOT_NUMBERS: Final = (TypeError, ValueError, OverflowError, RuntimeError)
@@ -49,6 +47,9 @@ LEAST: Final = 1.0 / LARGEST
 
 INSIDE: Final = 1e-9
 """Part of a limit by which designs stay inside it: more than the 1e-10 by which the optimiser may exceed a limit."""
+
+_Given = ParamSpec("_Given")
+_Result = TypeVar("_Result")
 
 _OVERFLOW = "beyond that, products of quantities overflow or underflow: check its unit"
 
@@ -159,7 +160,7 @@ def path_of(what: str, value: object) -> Path:
 
 @dataclass(frozen=True)
 class DomainLimit:
-    """The limits of a named value: those of `check_domain`, which describes the attributes."""
+    """The limits of a named value: those of `check_domain`, which describes the attributes, and the law's name."""
 
     name: str
     unit: str = ""
@@ -169,6 +170,7 @@ class DomainLimit:
     at_most: float = np.inf
     why: str = ""
     inside: float = INSIDE
+    law: str = ""
 
     @property
     def kept(self) -> tuple[float | None, float | None]:
@@ -218,28 +220,43 @@ Recorded: TypeAlias = list[tuple[DomainLimit, Any]]
 # What `check_domain` returns as it is.
 _FLOATS: Final = (float, np.float64)
 
-_OF_SYMBOLS: ContextVar[Recorded | None] = ContextVar("of_symbols", default=None)
-_OF_NUMBERS: ContextVar[Recorded | None] = ContextVar("of_numbers", default=None)
+_RECORD: ContextVar[Recorded | None] = ContextVar("record", default=None)
 
 
 @contextmanager
-def _recorded(record: ContextVar[Recorded | None]) -> Iterator[Recorded]:
-    found: Recorded = []
-    token = record.set(found)
+def recorded_limits() -> Iterator[Recorded]:
+    """Return a context whose value collects the limits that `check_domain` meets in it; it raises no error then."""
+    record: Recorded = []
+    token = _RECORD.set(record)
     try:
-        yield found
+        yield record
     finally:
-        record.reset(token)
+        _RECORD.reset(token)
 
 
-def limits_of_symbols() -> AbstractContextManager[Recorded]:
-    """Return a context whose value collects the limits that `check_domain` finds on symbols in it."""
-    return _recorded(_OF_SYMBOLS)
+def limits_of_law(label: str, law: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+    """Return a function whose recorded limits carry the name of a law; within it, those of another law keep theirs."""
+
+    @wraps(law)
+    def named(*arguments: _Given.args, **more: _Given.kwargs) -> _Result:
+        if (record := _RECORD.get()) is None:
+            return law(*arguments, **more)
+        start = len(record)
+        result = law(*arguments, **more)
+        record[start:] = [(limit if limit.law else replace(limit, law=label), x) for limit, x in record[start:]]
+        return result
+
+    return named
 
 
-def limits_of_numbers() -> AbstractContextManager[Recorded]:
-    """Return a context in which `check_domain` collects the limits of numbers and arrays, and raises no error."""
-    return _recorded(_OF_NUMBERS)
+def declared(record: Recorded) -> Recorded:
+    """Return the limits that laws declare on single values, with the name of the law before that of the value."""
+    # Columns are points at which a law is evaluated, such as nodes of a quadrature.
+    return [
+        (replace(limit, name=f"{limit.law}: {limit.name}"), value)
+        for limit, value in record
+        if limit.law and limit.kept != (None, None) and (not hasattr(value, "shape") or math.prod(value.shape) == 1)
+    ]
 
 
 def check_domain(
@@ -257,8 +274,8 @@ def check_domain(
     """Return a number as float, an array as array of floats, and a CasADi expression as it is, if inside the domain.
 
     Formulas use what is returned: integers and short floats would overflow in powers. Longer floats stay as they are.
-    A symbol passes; if the call is part of a resistance law, a design keeps its limits: see
-    `plough_opt.core.checks.limited_in_designs`. Numbers larger than `LARGEST` are outside every domain.
+    A symbol passes; if the call is part of a resistance law, a design keeps its limits: see `Scene.limits`. Numbers
+    larger than `LARGEST` are outside every domain.
 
     Args:
         name: name of the value, for the user.
@@ -275,11 +292,10 @@ def check_domain(
         DomainError: the value is not a finite number or lies outside; the message gives name, value and limit.
     """
     at_least, at_most = max(at_least, -LARGEST), min(at_most, LARGEST)
-    if type(value) in _FLOATS and above < value < below and at_least <= value <= at_most:
+    record = _RECORD.get()
+    if record is None and type(value) in _FLOATS and above < value < below and at_least <= value <= at_most:
         return value
-    symbolic = is_symbolic(value)
-    record = (_OF_SYMBOLS if symbolic else _OF_NUMBERS).get()
-    if symbolic and record is None:
+    if record is None and is_symbolic(value):
         return value
     limit = DomainLimit(name, unit, above, below, at_least, at_most, why, inside)
     if record is not None:
@@ -433,27 +449,8 @@ def check_single(what: str, values: Any) -> None:
         raise InputError(f"{what} accepts one number per quantity, not arrays: call it once per element")
 
 
-Meaning = TypeVar("Meaning")
-_Given = ParamSpec("_Given")
-_Result = TypeVar("_Result")
-
 # Functions kept alive for reuse even if no graph calls them any more; enough for several designs.
-_CACHE_SIZE: Final = 64
-# Number of registered Functions that triggers the first purge of dead ones.
-_FIRST_PURGE: Final = 128
-
-
-@dataclass(frozen=True)
-class Domain:
-    """A meaning: the labelled value is valid only if the carried expressions keep limits.
-
-    Attributes:
-        limits: the limit of each carried expression.
-        bare: for each of them whether it is a symbol by itself, so that the bounds of a variable must keep the limit.
-    """
-
-    limits: tuple[DomainLimit, ...]
-    bare: tuple[bool, ...]
+_MOST_RECENT: Final = 64
 
 
 @dataclass(frozen=True)
@@ -463,63 +460,44 @@ class Call:
     Attributes:
         law: the function.
         template: its positional and named arguments, with a placeholder for each quantity in them.
+        limited: whether designs keep the limits that it declares, so that bounds may lie outside them.
     """
 
     law: Callable[..., object]
     template: tuple[tuple[Any, ...], dict[str, Any]]
-
-    def check(self, numbers: Sequence[float]) -> None:
-        """Raise DomainError if these values of the quantities lie outside the law's domain."""
-        self.run(with_numbers(self.template, numbers))
+    limited: bool = False
 
     def run(self, given: tuple[tuple[Any, ...], dict[str, Any]]) -> object:
         """Return what the law returns for arguments like those of the template."""
         return self.law(*given[0], **given[1])
 
 
-class Meanings(Generic[Meaning]):
-    """A thread-safe registry of the meanings of Functions in graphs.
-
-    A meaning is dropped once no graph calls its Function any more, except that the most recently used Functions are
-    kept for reuse in similar graphs.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.RLock()
-        self._known: dict[int, tuple[ca.WeakRef, Meaning]] = {}
-        self._recent: OrderedDict[Hashable, tuple[ca.Function, Meaning]] = OrderedDict()
-        self._next_purge = _FIRST_PURGE
-
-    def shared(self, key: Hashable, make: Callable[[], tuple[ca.Function, Meaning]]) -> ca.Function:
-        """Return the cached Function of a key, or make it together with its meaning."""
-        with self._lock:
-            if key not in self._recent:
-                function, meaning = self._recent[key] = make()
-                self._known[hash(function)] = ca.WeakRef(function), meaning
-                self._purge()
-            self._recent.move_to_end(key)
-            return self._recent[key][0]
-
-    def of(self, function: ca.Function) -> Meaning | None:
-        """Return the meaning of a registered Function, or None for any other Function."""
-        reference, meaning = self._known.get(hash(function), (None, None))
-        # The hash is an address in memory, which another Function may have taken over.
-        return meaning if reference is not None and reference.alive() else None
-
-    def _purge(self) -> None:
-        """Drop the oldest cached Functions, and whenever the registry has doubled, all that no graph calls."""
-        while len(self._recent) > _CACHE_SIZE:
-            self._recent.popitem(last=False)
-        if len(self._known) >= self._next_purge:
-            self._known = {at: known for at, known in self._known.items() if known[0].alive()}
-            self._next_purge = max(_FIRST_PURGE, 2 * len(self._known))
-
-    def __len__(self) -> int:
-        """Return the number of registered meanings."""
-        return len(self._known)
+_lock = threading.RLock()
+# Address of a labelled or embedded Function -> the Function, as long as a graph calls it, and its meaning.
+_meanings: dict[int, tuple[ca.WeakRef, Any]] = {}
+_recent: dict[Hashable, ca.Function] = {}
 
 
-_LABELS: Meanings[object] = Meanings()
+def shared(key: Hashable, make: Callable[[], tuple[ca.Function, object]]) -> ca.Function:
+    """Return the Function of a key, or make it together with its meaning, which lives as long as the Function."""
+    with _lock:
+        function = _recent.pop(key, None)
+        if function is None:
+            function, meaning = make()
+            _meanings[hash(function)] = ca.WeakRef(function), meaning
+        _recent[key] = function  # as the last one
+        if len(_recent) > _MOST_RECENT:
+            del _recent[next(iter(_recent))]
+            for at in [at for at, (reference, _) in _meanings.items() if not reference.alive()]:
+                del _meanings[at]
+        return function
+
+
+def meaning_of(function: ca.Function) -> Any:
+    """Return the meaning of a Function in a graph; None if it has none."""
+    reference, meaning = _meanings.get(hash(function), (None, None))
+    # The hash is an address in memory, which another Function may have taken over.
+    return meaning if reference is not None and reference.alive() else None
 
 
 def attach(value: Expression, carried: Expression, meaning: object, key: Hashable) -> Expression:
@@ -533,19 +511,14 @@ def attach(value: Expression, carried: Expression, meaning: object, key: Hashabl
     """
     if not (isinstance(value, ca.MX) and isinstance(carried, ca.MX) and is_symbolic(carried)):
         return value
-    layout = (key, value.shape, carried.numel())
+    layout = ("label", key, value.shape, carried.numel())
 
     def make() -> tuple[ca.Function, object]:
         x, c = ca.MX.sym("x", *value.shape), ca.MX.sym("c", carried.numel())
         names = ["value", "carried"], ["value_again"]
         return ca.Function("label", [x, c], [x], *names, {"never_inline": True}), meaning
 
-    return _LABELS.shared(layout, make)(ca.densify(value), carried)
-
-
-def meaning_of(function: ca.Function) -> object | None:
-    """Return the meaning of a label's Function, or None for any other Function."""
-    return _LABELS.of(function)
+    return shared(layout, make)(ca.densify(value), carried)
 
 
 def without_labels(expressions: list[ca.MX], labels: list[ca.MX]) -> list[ca.MX]:
@@ -568,7 +541,13 @@ def labels_in(function: ca.Function) -> list[ca.MX]:
     """Return the calls of labels in a Function's MX graph, inner ones first."""
     places = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL]
     calls = {hash(node): node for node in map(function.instruction_MX, places)}
-    return [node for node in calls.values() if meaning_of(node.which_function()) is not None]
+    return [node for node in calls.values() if is_label(node)]
+
+
+def is_label(node: ca.MX) -> bool:
+    """Return whether a call in a graph is that of a label."""
+    function = node.which_function()
+    return bool(function.name() == "label") and meaning_of(function) is not None
 
 
 # Whether the current computation is part of a law that is labelled as a whole.
@@ -586,7 +565,7 @@ class unlabelled:  # noqa: N801 (a context, entered too often for a generator)
 
 
 def checked_in_designs(
-    law: Callable[_Given, _Result], check: Callable[_Given, object] | None = None
+    law: Callable[_Given, _Result], check: Callable[_Given, object] | None = None, *, limited: bool = False
 ) -> Callable[_Given, _Result]:
     """Decorate a law so that a design can check whether its bounds lie inside the law's domain.
 
@@ -596,6 +575,7 @@ def checked_in_designs(
     Args:
         law: the function.
         check: function called with the bounds in place of the law.
+        limited: as in `Call`.
     """
 
     @wraps(law)
@@ -606,7 +586,7 @@ def checked_in_designs(
             result = law(*arguments, **named)
         if not holds_casadi(result):
             return result
-        with limits_of_symbols():  # limits of placeholders mean nothing
+        with recorded_limits():  # limits of placeholders mean nothing
             template, quantities = template_of((arguments, named))
         carried = ca.vertcat(*quantities)
         # An array has one placeholder for all its elements; CasADi constants need no label.
@@ -622,24 +602,15 @@ def checked_in_designs(
 
         map_expressions(template, note, callable)
         key = law.__module__, law.__qualname__, repr(template), classes_in(template), tuple(functions)
-        meaning = Call(check or law, template)
+        meaning = Call(check or law, template, limited)
         checked: _Result = map_expressions(result, lambda value: attach(value, carried, meaning, key))
         return checked
 
     return labelled
 
 
-# Collects the limits of laws, with the limited expressions; None outside of `limits_of_laws`.
-_LIMITS: ContextVar[Recorded | None] = ContextVar("limits", default=None)
-
-
-def limits_of_laws() -> AbstractContextManager[Recorded]:
-    """Return a context whose value collects the limits of the laws that are called with symbols in it."""
-    return _recorded(_LIMITS)
-
-
 def limited_in_designs(label: str) -> Callable[[Callable[_Given, _Result]], Callable[_Given, _Result]]:
-    """Return a decorator of a law, with which a design keeps the limits that `check_domain` finds on symbols in it.
+    """Return a decorator of a law, with which a design keeps the limits that `check_domain` meets in it.
 
     Each limit becomes a requirement of the design. A limit on a symbol by itself does not: the bounds of that variable
     must keep it.
@@ -647,27 +618,4 @@ def limited_in_designs(label: str) -> Callable[[Callable[_Given, _Result]], Call
     Args:
         label: name of the law in the requirements' names.
     """
-
-    def decorated(law: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
-        @wraps(law)
-        def labelled(*arguments: _Given.args, **named: _Given.kwargs) -> _Result:
-            with limits_of_symbols() as found:
-                result = law(*arguments, **named)
-            # Columns are points at which a law is evaluated, such as nodes of a quadrature.
-            kept = [
-                (replace(limit, name=f"{label}: {limit.name}"), value)
-                for limit, value in found
-                if value.numel() == 1 and limit.kept != (None, None)
-            ]
-            if not kept:
-                return result
-            if (collected := _LIMITS.get()) is not None:
-                collected += kept
-            domain = Domain(tuple(limit for limit, _ in kept), tuple(value.is_symbolic() for _, value in kept))
-            carried = ca.vertcat(*(value for _, value in kept))
-            limited: _Result = map_expressions(result, lambda value: attach(value, carried, domain, domain))
-            return limited
-
-        return labelled
-
-    return decorated
+    return lambda law: checked_in_designs(limits_of_law(label, law), limited=True)

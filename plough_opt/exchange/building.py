@@ -21,7 +21,6 @@ from plough_opt.core.checks import (
     check_kind,
     check_named,
     check_single,
-    limits_of_laws,
     plain_number,
     shown,
     whole_number,
@@ -299,10 +298,9 @@ class Scenes:
     def domain(self) -> tuple[tuple[DomainLimit, ...], ca.Function]:
         """Return the limits of the law of resistance, and a Function from the inputs to the limited values."""
         kind, x, *_ = self._symbolic
-        with limits_of_laws() as found:
-            self.at(x)[0].check_reaction()
-        column = ca.vertcat(kind(), *(value for _, value in found))
-        return tuple(limit for limit, _ in found), ca.Function("domain", x, [column])
+        limits = [(limit, value) for limit, value in self.at(x)[0].limits() if is_symbolic(value)]
+        column = ca.vertcat(kind(), *(value for _, value in limits))
+        return tuple(limit for limit, _ in limits), ca.Function("domain", x, [column])
 
     def gives_columns(self, results: Results) -> bool:
         """Return whether any result is a column over the output times."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_domain, limits_of_numbers
+from plough_opt.core.checks import check_domain, recorded_limits
 from plough_opt.core.errors import PloughError
 from plough_opt.core.expressions import is_quantity, map_expressions
 from plough_opt.core.plain_data import Array
@@ -50,7 +50,7 @@ class DomainCheck:
         with np.errstate(all="ignore"):
             for k in self._suspects(rows, np.arange(rows.shape[1]), declared):
                 try:
-                    with nullcontext() if declared else limits_of_numbers():
+                    with nullcontext() if declared else recorded_limits():
                         self.scene(rows[:, k].tolist().__getitem__)
                 except PloughError as error:
                     reasons[int(k)] = str(error)
@@ -82,7 +82,7 @@ class DomainCheck:
             return where
         inside = np.ones(len(where), dtype=bool)
         try:
-            with limits_of_numbers() as limits:
+            with recorded_limits() as limits:
                 self.scene(lambda row: rows[row, where])
             for limit, values in limits if declared else ():
                 inside &= limit.holds(values)

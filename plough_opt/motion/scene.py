@@ -9,7 +9,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, TypeVar
 
-from plough_opt.core.checks import check_domain, check_kind, checked_in_designs, limited_in_designs, unlabelled
+from plough_opt.core.checks import (
+    DomainLimit,
+    check_domain,
+    check_kind,
+    checked_in_designs,
+    declared,
+    limits_of_law,
+    recorded_limits,
+    unlabelled,
+)
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, kept, rms, sqrt
 from plough_opt.core.plain_data import ByName
@@ -123,6 +132,23 @@ class Scene:
         drag = full.drag if self.effects.inertial_drag else 0.0
         return SoilReaction(full.static, drag, full.added_mass if self.effects.added_mass else 0.0)
 
+    def limits(self) -> tuple[tuple[DomainLimit, Any], ...]:
+        """Return the limits that the law of resistance declares, each with the value that must keep it.
+
+        A limit has the attributes ``name``, ``unit``, ``above``, ``below``, ``at_least``, ``at_most`` and ``why``. A
+        design keeps the limits of its scenes.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> scene = po.Scene(po.named_soil("serozem"), share, 5e4, 30.0, 2.0, medium="asabe_d497")
+            >>> [(limit.name, value) for limit, value in scene.limits()][0]
+            ('ASABE D497: working depth', 0.25)
+        """
+        with recorded_limits() as record:
+            self._by_law(self._at)
+        return tuple(declared(record))
+
     def check_reaction(self) -> None:
         """Raise DomainError if a numeric scene lies outside the domain of its law of resistance.
 
@@ -174,7 +200,7 @@ class Scene:
     def _by_law(self, at: ShareInSoil) -> SoilReaction:
         """Return the reaction by the law of resistance; raise DomainError for numbers that are not finite."""
         with unlabelled():
-            found = limited_in_designs(self.law.label)(self.law.reaction)(at)
+            found = limits_of_law(self.law.label, self.law.reaction)(at)
         why = self.law.without_value("finite value")
         check_domain("static resistance", found.static, "N", why=why)
         check_domain("coefficient of the squared speed", found.drag, "N*s^2/m^2", why=why)

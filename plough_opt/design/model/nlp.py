@@ -36,7 +36,7 @@ from plough_opt.core.process import available
 from plough_opt.motion.domain import DomainCheck
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers.derivatives import jets_of, weighted_curvature
-from plough_opt.motion.solvers.integrators import Embedding, Integration, embedding_of, integration
+from plough_opt.motion.solvers.integrators import Embedding, Integration, integration
 from plough_opt.motion.solvers.steps import pairs
 
 _GIVEN_RESULTS = "a run in a design cannot depend on the results of another run: give both the same variables instead"
@@ -73,7 +73,7 @@ class Split:
     runs: tuple[EmbeddedRun, ...]
     expressions: tuple[ca.MX, ...]
     results: tuple[ca.MX, ...]
-    labels: tuple[tuple[object, ca.MX], ...]
+    labels: tuple[tuple[Any, ca.MX], ...]
     algebra: dict[Hashable, _Algebra] = field(default_factory=dict, compare=False)
 
 
@@ -126,7 +126,7 @@ def _carried(calls: list[tuple[object, ca.MX]], symbols: list[ca.MX], runs: bool
     for meaning, node in calls:
         if not runs or not _calls(ca.Function("carried", symbols, [node.dep(1)], {"never_inline": True}))[0]:
             found.append((meaning, node.dep(1)))
-        elif not isinstance(meaning, Call):
+        elif not isinstance(meaning, Call) or meaning.limited:
             raise InputError(_GIVEN_RESULTS)
     return found
 
@@ -139,11 +139,12 @@ def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[object, ca
         if whole.instruction_id(k) != ca.OP_CALL:
             continue
         node = whole.instruction_MX(k)
-        if (meaning := meaning_of(node.which_function())) is not None:
+        meaning = meaning_of(node.which_function())
+        if isinstance(meaning, Embedding):
+            outputs = tuple(node.get_output(i) for i in range(meaning.integration.function.n_out()))
+            runs[hash(node)] = EmbeddedRun(meaning.integration, meaning.template, node.dep(0), node.dep(1), outputs)
+        elif meaning is not None:
             labels[hash(node)] = (meaning, node)
-        elif (run := embedding_of(node.which_function())) is not None:
-            outputs = tuple(node.get_output(i) for i in range(run.integration.function.n_out()))
-            runs[hash(node)] = EmbeddedRun(run.integration, run.template, node.dep(0), node.dep(1), outputs)
     return list(runs.values()), list(labels.values())
 
 

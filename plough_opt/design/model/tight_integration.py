@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
@@ -11,11 +10,11 @@ from typing import Any, Final, TypeAlias
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import Call, Domain, DomainLimit, limits_of_numbers
+from plough_opt.core.checks import Call, DomainLimit, declared, recorded_limits
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
-from plough_opt.core.expressions import is_quantity, map_expressions, with_numbers
+from plough_opt.core.expressions import is_quantity, is_symbolic, map_expressions, with_numbers
 from plough_opt.design.declarations import Declarations, Requirement
-from plough_opt.design.model.nlp import Vector, has_own_law, is_own, split
+from plough_opt.design.model.nlp import Split, Vector, has_own_law, is_own, split
 from plough_opt.motion.equation import parameters as parameters_of
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.run import Run
@@ -72,9 +71,6 @@ class TightEvaluation:
         self.parts = parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
-        limits: dict[_Kept, list[ca.MX]] = {}
-        # Limits on single symbols, and the Function that gives these.
-        self._bare: list[tuple[Domain, ca.Function]] = []
         # Scenes without integration, and calls of laws, each with the Function that gives its quantities.
         self._scenes: list[tuple[Scene, ca.Function]] = []
         self._calls: list[tuple[Call, ca.Function]] = []
@@ -85,7 +81,7 @@ class TightEvaluation:
             if isinstance(meaning, Scene):
                 self._checked_alike &= not has_own_law(meaning) and meaning.soil.density_profile is None
                 alike.setdefault(id(meaning), (meaning, Scene.check_reaction, []))[2].append(ca.vec(carried))
-            elif isinstance(meaning, Call):
+            elif not meaning.limited:
                 self._checked_alike &= not is_own(meaning.law)
                 alike.setdefault(id(meaning), (meaning.template, meaning.run, []))[2].append(ca.vec(carried))
         self._alike = [
@@ -94,19 +90,23 @@ class TightEvaluation:
         ]
         for meaning, carried in parts.labels:
             quantities = ca.Function("quantities", list(symbols), [ca.densify(ca.vec(carried))])
-            if isinstance(meaning, Domain):
-                self._bare.append((meaning, quantities))
-                for limit, bare, value in zip(meaning.limits, meaning.bare, ca.vertsplit(carried), strict=True):
-                    if not bare:
-                        limits.setdefault((limit.name, *limit.kept, limit.unit), []).append(value)
-            elif isinstance(meaning, Scene):
+            if isinstance(meaning, Scene):
                 self._scenes.append((meaning, quantities))
-            elif isinstance(meaning, Call):
+            elif not meaning.limited:
                 self._calls.append((meaning, quantities))
+        own = _declared_limits(parts, symbols)
+        limits: dict[_Kept, list[ca.MX]] = {}
+        for limit, value in own:
+            if not value.is_symbolic():
+                limits.setdefault((limit.name, *limit.kept, limit.unit), []).append(value)
         self.limits = [
             (name, ca.vertcat(*values), low, high, unit)
             for (name, low, high, unit), values in sorted(limits.items(), key=lambda item: item[0][0])
         ]
+        # Limits on single symbols, which the bounds of variables must keep, and the Function that gives these.
+        bare = [(limit, value) for limit, value in own if value.is_symbolic()]
+        self._bare = [limit for limit, _ in bare]
+        self._bare_symbols = ca.Function("bare", list(symbols), [ca.vertcat(ca.MX(), *(value for _, value in bare))])
         self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
 
     def inputs(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Scene]:
@@ -142,15 +142,13 @@ class TightEvaluation:
     def check_calls(self, numbers: Sequence[float]) -> None:
         """Raise DomainError if these numbers take a law in the expressions, or a symbol in it, out of its domain."""
         for call, quantities in self._calls:
-            call.check(quantities(*numbers).nonzeros())
+            call.run(with_numbers(call.template, quantities(*numbers).nonzeros()))
         for limit, value in self._bare_values(numbers):
             limit.check(value)
 
     def _bare_values(self, numbers: Sequence[float]) -> Iterator[tuple[DomainLimit, float]]:
         """Yield the limits on single symbols with the symbols' values."""
-        for domain, quantities in self._bare:
-            values = quantities(*numbers).nonzeros()
-            yield from itertools.compress(zip(domain.limits, values, strict=True), domain.bare)
+        yield from zip(self._bare, self._bare_symbols(*numbers).full().ravel().tolist(), strict=True)
 
     def surely_inside(self, numbers: Sequence[float]) -> bool:
         """Return whether no scene and no law refuses these numbers, if that can be told from all at once."""
@@ -215,6 +213,44 @@ class TightEvaluation:
         return [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]
 
 
+def _declared_limits(parts: Split, symbols: Sequence[ca.MX]) -> list[tuple[DomainLimit, Any]]:
+    """Return the limits that the scenes and the laws in split expressions declare on expressions, each once."""
+    holders = [(run.template, run.quantities) for run in parts.runs]
+    for meaning, carried in parts.labels:
+        arguments = meaning.template[0] if isinstance(meaning, Call) else (meaning,)
+        of_scene = arguments and isinstance(arguments[0], Scene)
+        if of_scene or meaning.limited:
+            holders.append((arguments[0] if of_scene else meaning, ca.vec(carried)))
+    # A scene is met for every property of it that a design uses: it is the same if it has equal quantities anywhere.
+    place = np.random.default_rng(0).uniform(0.1, 0.9, len(symbols))
+    at = ca.Function("carried", list(symbols), [quantities for _, quantities in holders]).call([*place])
+    once = {
+        (repr(holder), tuple(np.asarray(x).ravel())): (holder, own)
+        for (holder, own), x in zip(holders, at, strict=True)
+    }
+    found = [limit for holder, quantities in once.values() for limit in _limits_of(holder, quantities)]
+    for limit, value in found:
+        if not is_symbolic(value):
+            limit.check(value)
+    return [(limit, value) for limit, value in found if is_symbolic(value)]
+
+
+def _limits_of(holder: Scene | Call, quantities: ca.MX) -> Sequence[tuple[DomainLimit, Any]]:
+    """Return the limits of a scene, or of a call of a law, with expressions in the place of its quantities."""
+    # Constants are numbers again.
+    values = iter([x if ca.symvar(x) else float(ca.evalf(x)) for x in ca.vertsplit(quantities)])
+
+    def fill(template: Any) -> Any:
+        return map_expressions(template, lambda _: next(values), is_quantity)
+
+    if isinstance(holder, Scene):
+        scene: Scene = fill(holder)
+        return scene.limits()
+    with recorded_limits() as record:
+        holder.run(fill(holder.template))
+    return declared(record)
+
+
 def _keep_limits(template: Any, check: Callable[[Any], object], quantities: Vector) -> bool:
     """Return whether objects that differ only in numbers keep every limit; all are checked at once, as arrays.
 
@@ -227,7 +263,7 @@ def _keep_limits(template: Any, check: Callable[[Any], object], quantities: Vect
     """
     values = iter([row if np.ptp(row) else float(row[0]) for row in quantities])
     try:
-        with limits_of_numbers() as limits:
+        with recorded_limits() as limits:
             check(map_expressions(template, lambda _: next(values), is_quantity))
     except Exception:  # a user's own class may raise any error for arrays
         return False

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import Meanings, attach
+from plough_opt.core.checks import attach, meaning_of, shared
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import (
     Column,
@@ -199,9 +199,6 @@ class Embedding:
     template: Scene
 
 
-_RUNS: Meanings[Embedding] = Meanings()
-
-
 def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[Column, ...]:
     """Return the results of a run as expressions of the symbols in its scene.
 
@@ -222,8 +219,8 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[C
             raise InputError(f"method '{solver.accuracy.method}' takes MX symbols only: use casadi.MX, or use 'dop853'")
         return tuple(solver.function.call([inputs]))
     # Quantities are placeholders in the template, so that scenes which differ only in numbers share one Function.
-    run = _RUNS.shared(
-        (hash(solver.function), key), lambda: (_build(solver, carried.numel()), Embedding(solver, template))
+    run = shared(
+        ("run", hash(solver.function), key), lambda: (_build(solver, carried.numel()), Embedding(solver, template))
     )
     return tuple(run.call([inputs, carried]))
 
@@ -238,7 +235,8 @@ def _labelled(value: Column, scene: Scene) -> Expression:
 
 def embedding_of(function: ca.Function) -> Embedding | None:
     """Return what a Function in a graph computes if `embed` made it, else None."""
-    return _RUNS.of(function)
+    meaning = meaning_of(function)
+    return meaning if isinstance(meaning, Embedding) else None
 
 
 def _carried(scene: Scene) -> tuple[Scene, Column, Hashable]:

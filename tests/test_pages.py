@@ -36,7 +36,7 @@ from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.motion.methods import METHODS
 from plough_opt.motion.solvers import plan
 from plough_opt.motion.vocabulary import MEASURES, called
-from plough_opt.problem_file import reading, schema, source, uncertain
+from plough_opt.problem_file import reading, schema, source
 from plough_opt.soil.elastic import medium
 from plough_opt.studies.calibration.measurements import MEASURABLE
 from plough_opt.studies.sweep.points import MOST_POINTS
@@ -257,7 +257,8 @@ LIMITS = {
     ),
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Studies and runs": (
-        MOST_POINTS, distribution.MOST_SAMPLES, uncertain.COUNTS["fresh"][1],
+        MOST_POINTS, distribution.MOST_SAMPLES,
+        schema.UncertainTable.model_json_schema()["properties"]["fresh"]["maximum"],
         assembly._MOST_POINTS, effort._MOST_ACCEPTED, medium._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
     "Phase of a motion": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),

@@ -87,7 +87,7 @@ def check_page(problem: Problem, drafts: Mapping[str, Mapping[str, Any]]) -> Pag
         counts = f"{len(problem.variables)} variables, {len(problem.table.require)} requirements"
         parts.append(f"{counts}: plough-opt {verb} {problem.name}")
     if problem.table.uncertain is not None:
-        names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
+        names = ", ".join(problem.table.uncertain.soil)
         parts.append(
             f"Uncertain: {names}. plough-opt optimise allows for this; all other commands use the nominal soil."
         )

@@ -133,7 +133,7 @@ class Problem:
             return ()
         given, limits = self.values(), self.table.require
         wanted = {*self.table.minimise, *self.table.goals, *limits}
-        varied = {*self.variables, *(self.table.uncertain or ())}
+        varied = {*self.variables, *(self.table.uncertain.soil if self.table.uncertain else ())}
         angle = limits["half_angle"].at_most if "half_angle" in limits else None
         blunt = angle is None or Unit("rad").parse(angle) > PLANE_SECTIONS_LIMIT
         front = "loosened_radius" in wanted and "soil.density_ratio" not in given

@@ -314,6 +314,44 @@ class TradeOffTable(Table):
     """number of positions on the front"""
 
 
+class DistributionTable(Table):
+    """Distribution of an uncertain property of the soil, its quantities as written."""
+
+    distribution: Literal["normal", "lognormal", "uniform", "triangular", "beta"]
+    """its kind"""
+    mean: Written | None = None
+    """mean"""
+    std: Written | None = None
+    """standard deviation"""
+    lower: Written | None = None
+    """lower end"""
+    mode: Written | None = None
+    """most likely value"""
+    upper: Written | None = None
+    """upper end"""
+
+
+class UncertainTable(Table):
+    """Distributions of soil properties by name, and how soils are drawn from them."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, DistributionTable]
+
+    samples: Annotated[int, Field(ge=8, le=1024)] = 64
+    """number of soils that the optimiser uses"""
+    fresh: Annotated[int, Field(ge=100, le=100_000)] = 4096
+    """number of soils that are drawn anew to verify the optimum"""
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 1
+    """seed of the soils"""
+    correlation: list[Annotated[list[str | float], Field(min_length=3, max_length=3)]] = []
+    """pairs of properties with the correlation of their normal scores"""
+
+    @property
+    def soil(self) -> dict[str, DistributionTable]:
+        """Name of each uncertain property -> its distribution."""
+        return self.__pydantic_extra__
+
+
 class AccuracyTable(Table):
     """Integration method and its setting, or the relative error to reach."""
 
@@ -340,7 +378,7 @@ class ProblemTable(Table):
     minimise: dict[str, TermTable] = {}
     require: dict[str, LimitTable] = {}
     trade_off: TradeOffTable | None = None
-    uncertain: dict[str, Any] | None = None  # read by plough_opt.problem_file.uncertain
+    uncertain: UncertainTable | None = None
 
     @property
     def goals(self) -> dict[str, bool]:
@@ -422,7 +460,8 @@ def file_schema() -> dict[str, Any]:
     tables["minimise"] = _of(single, "TermTable")
     tables["require"] = _of(MEASURES, "LimitTable")
     definitions["TradeOffTable"]["properties"] |= _of(single, "GoalTable")["properties"]
-    tables["uncertain"] = {"type": "object"}
+    soil = [name for name in IN_FILES if IN_FILES[name].owner == "soil"]
+    definitions["UncertainTable"]["properties"] |= _of(soil, "DistributionTable")["properties"]
     speeds = definitions["SceneFile"]["properties"]
     times = {"type": "array", "items": {"type": "string"}, "minItems": 2}
     course = {"type": "object", "properties": {"time": times, "speed": times}, "required": ["time", "speed"]}

@@ -31,6 +31,7 @@ _SCHEMA_MESSAGES: Final = {
     "string_type": "= {written} must be a text in quotes",
     "greater_than_equal": "= {written} must be at least {ge}",
     "less_than_equal": "= {written} must be at most {le}",
+    "list_type": "= {written} must be a list in brackets",
     "missing": "is missing: add it",
 }
 # What the parser says -> what to do about it.

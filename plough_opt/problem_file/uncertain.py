@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from plough_opt.core.checks import check_named, whole_number
-from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.checks import check_named
+from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number
 from plough_opt.core.quantities import quantities
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.field_data import lognormal
-from plough_opt.problem_file.schema import LimitTable, ProblemTable, at
+from plough_opt.problem_file.schema import DistributionTable, LimitTable, ProblemTable, UncertainTable, at
 from plough_opt.problem_file.source import Source
 from plough_opt.soil.soil import Soil
 
@@ -31,15 +31,13 @@ if TYPE_CHECKING:
 # Distributions and designs need scipy.stats, which is slow to import; a file is read and checked without them.
 
 TABLE = "uncertain"
-COUNTS = {"samples": (8, 1024), "fresh": (100, 100_000), "seed": (0, 2**31 - 1)}
-"""Whole numbers in the table, with their limits."""
-# Kind of distribution -> (keys that it needs, keys that it may have).
-_KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "normal": (("mean", "std"), ("lower", "upper")),
-    "lognormal": (("mean", "std"), ("lower", "upper")),
-    "uniform": (("lower", "upper"), ()),
-    "triangular": (("lower", "mode", "upper"), ()),
-    "beta": (("mean", "std", "lower", "upper"), ()),
+# Kind of distribution -> keys that it needs; those without bounds may have them.
+_KINDS = {
+    "normal": ("mean", "std"),
+    "lognormal": ("mean", "std"),
+    "uniform": ("lower", "upper"),
+    "triangular": ("lower", "mode", "upper"),
+    "beta": ("mean", "std", "lower", "upper"),
 }
 _READING = "soil.cone_index"
 # Properties that do not affect the cone index.
@@ -67,29 +65,24 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
     if table.uncertain is None:
         return
     properties = [key for key in quantities() if key.startswith("soil.")]
-    for key, entry in table.uncertain.items():
+    for key, entry in table.uncertain.soil.items():
         with source.noting((TABLE, key)):
-            if key in COUNTS:
-                whole_number(f"'{TABLE}.{key}'", entry, *COUNTS[key])
-            elif key == "correlation":
-                _check_correlation(entry, table.uncertain)
-            else:
-                check_named("{} cannot be uncertain", key, [*properties, *COUNTS, "correlation"])
-                _check_property(table, key)
-                _check_distribution(source, key, entry)
-    if not {*properties} & {*table.uncertain}:
-        source.note(
-            (TABLE,),
-            "nothing is uncertain: give a property of the soil a distribution, like"
-            ' "soil.cohesion" = { distribution = "lognormal", mean = "20 kPa", std = "6 kPa" }',
-        )
+            check_named("{} cannot be uncertain", key, [*properties, *type(table.uncertain).model_fields])
+            _check_property(table, key)
+            _distribution(source, key, entry)
+    with source.noting((TABLE, "correlation")):
+        for *names, _ in table.uncertain.correlation:
+            for name in names:
+                check_named("'uncertain.correlation': {} has no distribution", name, table.uncertain.soil)
+    if not table.uncertain.soil:
+        example = '"soil.cohesion" = { distribution = "lognormal", mean = "20 kPa", std = "6 kPa" }'
+        source.note((TABLE,), f"nothing is uncertain: give a property of the soil a distribution, like {example}")
     elif table.scene.law.lacks("uncertain"):
         source.note((TABLE,), table.scene.law.refusal("uncertain", TABLE))
 
 
 def _check_measures(source: Source, table: ProblemTable) -> None:
     """Note invalid measures, and in a file without an uncertain soil the keys that need one."""
-    results = MEASURES
     for kind in ("minimise", "require"):
         for name, entry in getattr(table, kind).items():
             if table.uncertain is None:
@@ -102,7 +95,7 @@ def _check_measures(source: Source, table: ProblemTable) -> None:
                 if entry.measure is not None:
                     measure_of(entry.measure)
                 if isinstance(entry, LimitTable):
-                    _check_limit(entry, name, name in results and results[name].everywhere)
+                    _check_limit(entry, name, name in MEASURES and MEASURES[name].everywhere)
 
 
 def _check_limit(limit: LimitTable, name: str, everywhere: bool) -> None:
@@ -121,7 +114,7 @@ def _check_limit(limit: LimitTable, name: str, everywhere: bool) -> None:
 
 def _check_property(table: ProblemTable, key: str) -> None:
     """Raise InputError for a property that is a variable, or that follows from a cone index in every sample."""
-    uncertain = table.uncertain or {}
+    uncertain = table.uncertain.soil if table.uncertain else {}
     if key in table.variables:
         raise InputError(f"'{key}' is a variable, so it cannot be uncertain: remove one")
     read = _READING in {*table.variables, *uncertain} or at(table, _READING) is not None
@@ -131,44 +124,11 @@ def _check_property(table: ProblemTable, key: str) -> None:
         raise InputError(f"'{key}' can be uncertain only with adjust = \"strength factor\"")
     if key == _READING:
         for other in uncertain:
-            if other.startswith("soil.") and other not in (key, *_NOT_IN_CONE_INDEX):
+            if other not in (key, *_NOT_IN_CONE_INDEX):
                 raise InputError(f"the cone index depends on '{other}': the two cannot both be uncertain: remove one")
 
 
-def _check_correlation(entry: Any, uncertain: Mapping[str, Any]) -> None:
-    example = '[["soil.cohesion", "soil.friction_angle", -0.4]]'
-    if not isinstance(entry, list):
-        raise InputError(f"'{TABLE}.correlation' must be a list of pairs with a number, like {example}")
-    for item in entry:
-        if not isinstance(item, list) or len(item) != 3 or not isinstance(item[2], int | float):
-            raise InputError(f"'{TABLE}.correlation': {item!r} must be two names and a number, like {example[1:-1]}")
-        for name in item[:2]:
-            names = [key for key in uncertain if key.startswith("soil.")]
-            check_named(f"'{TABLE}.correlation': {{}} has no distribution", name, names)
-
-
-def _check_distribution(source: Source, key: str, entry: Any) -> None:
-    if not isinstance(entry, dict):
-        raise InputError(f"'{key}' must be a table like {{ distribution = \"normal\", mean = ..., std = ... }}")
-    kind = entry.get("distribution")
-    if not isinstance(kind, str) or kind not in _KINDS:
-        known = nearest(str(kind), _KINDS) if "distribution" in entry else f"one of {', '.join(_KINDS)}"
-        raise source.error((TABLE, key, "distribution"), f"'{key}' needs a known distribution: {known}")
-    needed, more = _KINDS[kind]
-    allowed = ("distribution", *needed, *more)
-    for name, written in entry.items():
-        place = (TABLE, key, name)
-        if name not in allowed:
-            unknown = f"is not a key of a {kind} distribution: {nearest(name, allowed)}"
-            raise source.error(place, f"'{key}.{name}' {unknown}")
-        if name != "distribution":
-            source.parsed(place, quantities()[key], written, f"'{key}' {name}")
-    if missing := [name for name in needed if name not in entry]:
-        raise InputError(f"'{key}': a {kind} distribution needs {' and '.join(missing)}")
-    _distribution(key, entry)
-
-
-def _distribution(key: str, entry: Mapping[str, Any]) -> tuple[Any, tuple[float, float]]:
+def _distribution(source: Source, key: str, entry: DistributionTable) -> tuple[Any, tuple[float, float]]:
     """Return a frozen distribution of scipy.stats and its bounds, SI.
 
     Raises:
@@ -176,25 +136,30 @@ def _distribution(key: str, entry: Mapping[str, Any]) -> tuple[Any, tuple[float,
     """
     from scipy import stats  # slow to import, and rarely needed
 
-    kind = entry["distribution"]
-    si = {name: quantities()[key].parse(written) for name, written in entry.items() if name != "distribution"}
-    mean, std, lower, upper = (si.get(name, math.nan) for name in ("mean", "std", "lower", "upper"))
-    bounds = si.get("lower", -math.inf), si.get("upper", math.inf)
-    if std <= 0.0:
-        raise InputError(f"'{key}': std must be above 0: give a value without spread in [soil]")
-    if bounds[0] >= bounds[1]:
-        raise InputError(f"'{key}': lower must be below upper")
+    kind, unit = entry.distribution, quantities()[key]
+    written = entry.model_dump(exclude_none=True, exclude={"distribution"})
+    if missing := [name for name in _KINDS[kind] if name not in written]:
+        raise InputError(f"'{key}': a {kind} distribution needs {' and '.join(missing)}")
+    if odd := [name for name in written if name not in (*_KINDS[kind], "lower", "upper")]:
+        raise source.error((TABLE, key, odd[0]), f"'{key}.{odd[0]}' is not a key of a {kind} distribution: remove it")
+    si = {name: source.parsed((TABLE, key, name), unit, text, f"'{key}' {name}") for name, text in written.items()}
+    mean, std = si.get("mean", math.nan), si.get("std", math.nan)
+    lower, upper = bounds = si.get("lower", -math.inf), si.get("upper", math.inf)
+    for wrong, why in (
+        (std <= 0.0, "std must be above 0: give a value without spread in [soil]"),
+        (lower >= upper, "lower must be below upper"),
+        (kind == "lognormal" and mean <= 0.0, "the mean of a lognormal distribution must be above 0"),
+        (kind == "triangular" and not lower <= si.get("mode", lower) <= upper, "mode must lie between lower and upper"),
+    ):
+        if wrong:
+            raise InputError(f"'{key}': {why}")
     if kind == "normal":
         return stats.norm(mean, std), bounds
     if kind == "lognormal":
-        if mean <= 0.0:
-            raise InputError(f"'{key}': the mean of a lognormal distribution must be above 0")
         return lognormal(mean, std), bounds
     if kind == "uniform":
         return stats.uniform(lower, upper - lower), bounds
     if kind == "triangular":
-        if not lower <= si["mode"] <= upper:
-            raise InputError(f"'{key}': mode must lie between lower and upper")
         return stats.triang((si["mode"] - lower) / (upper - lower), lower, upper - lower), bounds
     middle, relative = (mean - lower) / (upper - lower), (std / (upper - lower)) ** 2
     size = middle * (1.0 - middle) / relative - 1.0
@@ -207,16 +172,15 @@ def check_joint(source: Source, table: ProblemTable, soil: Callable[[], Soil]) -
     """Note every distribution that the model refuses, with its line; the rest of the file must be valid."""
     if table.uncertain is None:
         return
-    for key, entry in table.uncertain.items():
-        if key.startswith("soil."):
-            with source.noting((TABLE, key)):
-                distribution_of({key: entry}, soil())
+    for key, entry in table.uncertain.soil.items():
+        with source.noting((TABLE, key)):
+            distribution_of(UncertainTable.model_validate({key: entry}), soil())
     source.raise_noted()
     with source.noting((TABLE, "correlation")):
         distribution_of(table.uncertain, soil())
 
 
-def distribution_of(table: Mapping[str, Any], soil: Soil) -> SoilDistribution:
+def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
     """Return the distribution around a nominal soil; an uncertain cone index becomes an uncertain strength factor.
 
     Raises:
@@ -226,15 +190,15 @@ def distribution_of(table: Mapping[str, Any], soil: Soil) -> SoilDistribution:
     from plough_opt.studies.uncertainty import SoilDistribution
 
     made, within = dict[str, Any](), dict[str, tuple[float, float]]()
-    names = {key: key.removeprefix("soil.") for key in table if key.startswith("soil.")}
+    names = {key: key.removeprefix("soil.") for key in table.soil}
     for key, name in names.items():
-        made[name], within[name] = _distribution(key, table[key])
+        made[name], within[name] = _distribution(Source("", TABLE), key, table.soil[key])
     if _READING in names:
         per = float(as_number(soil.strength_factor / cone_index(soil)))
         names[_READING], reading = "strength_factor", made.pop("cone_index")
         low, high = within.pop("cone_index")
         made["strength_factor"], within["strength_factor"] = _Scaled(reading, per), (per * low, per * high)
-    pairs = {(names[a], names[b]): float(value) for a, b, value in table.get("correlation", [])}
+    pairs = {(names[str(a)], names[str(b)]): float(value) for a, b, value in table.correlation}
     return SoilDistribution(soil, within=within, correlation=pairs, **made)
 
 
@@ -268,8 +232,9 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
     from plough_opt.studies.uncertainty import verify
     from plough_opt.studies.uncertainty.result import RobustOptimum
 
-    table: Mapping[str, Any] = problem.table.uncertain or {}
-    soil, seed = problem.scene().soil, table.get("seed", 1)
+    table = problem.table.uncertain
+    assert table is not None
+    soil, seed = problem.scene().soil, table.seed
     field = distribution_of(table, soil)
     nominal = problem.design()[0].solve(progress=progress)
     progress("sampling the soil", 0.0)
@@ -277,8 +242,7 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
     best = design.solve(progress=progress)
     progress("verifying on fresh soils", 0.0)
     fresh, nominal_fresh = (
-        verify(robust, at, samples=table.get("fresh", 4096), seed=20_000 + seed)
-        for at in (best.variables, nominal.variables)
+        verify(robust, at, samples=table.fresh, seed=20_000 + seed) for at in (best.variables, nominal.variables)
     )
     best = replace(best, run=problem.simulate(best.variables), origin=problem.made(seed))
     properties = {name: (float(getattr(soil, name)), *own) for name, own in field.moments.items()}
@@ -297,8 +261,9 @@ def robust_design(problem: Problem, field: SoilDistribution, start: Mapping[str,
     from plough_opt.design import Design
     from plough_opt.studies.uncertainty import Robust
 
-    table, design, results = problem.table, Design(), MEASURES
-    uncertain: Mapping[str, Any] = table.uncertain or {}
+    table, design = problem.table, Design()
+    uncertain = table.uncertain
+    assert uncertain is not None
     symbols = {
         key: variable.declared(design, key, min(max(start[key], variable.lower), variable.upper))
         for key, variable in problem.variables.items()
@@ -310,24 +275,24 @@ def robust_design(problem: Problem, field: SoilDistribution, start: Mapping[str,
     def response(soil: Soil) -> dict[str, Expression]:
         run = run_in({f"soil.{name}": getattr(soil, name) for name in field.names})
         names = {**table.minimise, **table.require}
-        return {name: results[name].of(run) for name in names if not results[name].everywhere}
+        return {name: MEASURES[name].of(run) for name in names if not MEASURES[name].everywhere}
 
-    robust = Robust(field, response, samples=uncertain.get("samples", 64), seed=uncertain.get("seed", 1))
+    robust = Robust(field, response, samples=uncertain.samples, seed=uncertain.seed)
     # What does not depend on the soil is limited once, and not once for each soil.
     varying = {name for name, own in robust.values(start).items() if np.ptp(own) > 1e-9 * np.max(np.abs(own))}
     nominal = run_in({})
     objective: Expression = 0.0
     for name, term in table.minimise.items():
         kappa = measure_of(term.measure or "expected")
-        value = results[name].of(nominal) if kappa is None else robust.mean_plus(name, kappa)
-        objective = objective + value / results[name].unit.parse(term.per)
+        value = MEASURES[name].of(nominal) if kappa is None else robust.mean_plus(name, kappa)
+        objective = objective + value / MEASURES[name].unit.parse(term.per)
     design.minimise(objective)
     for name, limit in table.require.items():
-        low, high = limit.ends(results[name].unit)
+        low, high = limit.ends(MEASURES[name].unit)
         own: dict[str, Any] = {
             "at_least": low,
             "at_most": high,
-            "unit": results[name].unit.symbol,
+            "unit": MEASURES[name].unit.symbol,
             "display": problem.displays[name],
         }
         kappa = None if name not in varying or limit.measure is None else measure_of(limit.measure)
@@ -335,6 +300,6 @@ def robust_design(problem: Problem, field: SoilDistribution, start: Mapping[str,
             part = 1.0 if limit.probability is None else limit.probability
             robust.require_probability(design, name, name, part, **own)
         else:
-            value = results[name].of(nominal) if kappa is None else robust.mean_plus(name, kappa)
+            value = MEASURES[name].of(nominal) if kappa is None else robust.mean_plus(name, kappa)
             design.require(name, value, **own)
     return design, robust

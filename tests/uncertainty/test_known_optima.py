@@ -272,8 +272,8 @@ def test_nominal_commands_take_the_file_as_it_is():
 
 
 def test_overrides_reach_a_distribution():
-    table = po.read_problem(FILE, ['uncertain.soil.cohesion.std="3 kPa"']).table.uncertain["soil.cohesion"]
-    assert (table["std"], table["mean"]) == ("3 kPa", "20 kPa")
+    table = po.read_problem(FILE, ['uncertain.soil.cohesion.std="3 kPa"']).table.uncertain.soil["soil.cohesion"]
+    assert (table.std, table.mean) == ("3 kPa", "20 kPa")
     other = "uncertain={soil.cohesion={distribution='triangular', lower='10 kPa', mode='20 kPa', upper='60 kPa'}}"
     # The mean of the three, and the root of (a^2 + b^2 + c^2 - ab - bc - ca)/18; both come by a quadrature.
     moments = _field(po.read_problem(FILE, [other])).moments["cohesion"]

@@ -50,7 +50,6 @@ NEED = {
     "explore FILE -o page.html": ("report", "page.html"),
     "export FILE --to openmdao -o component": ("openmdao", "component"),
     "export FILE --to stl --at guess -o a.stl": ("parts", "a.stl"),
-    "export FILE --to gltf --at guess -o a.glb": ("parts", "a.glb"),
     "export FILE --to dxf --at guess -o a.dxf": ("parts", "a.dxf"),
     "export FILE --to step --at guess -o a.step": ("step", "a.step"),
     "simulate a.toml --csv run.csv": ("pandas", "run.csv"),

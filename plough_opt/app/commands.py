@@ -293,17 +293,17 @@ def export(options: argparse.Namespace) -> None:
         duration=values.get("scene.duration"),
         options=given,
     )
-    written = chosen.write(request)
+    said, after = chosen.write(request)
+    paths = [Path(path) for path in (options.output, options.description) if path is not None]
     if options.json:
-        paths = [str(path) for path in written.paths]
-        print(json_text({"wrote": paths, "says": written.said, "next": written.next}))
+        print(json_text({"wrote": [*map(str, paths)], "says": said, "next": after}))
         return
-    if written.said:
-        console().print(written.said, soft_wrap=True)
-    for path in written.paths:
+    if said:
+        console().print(said, soft_wrap=True)
+    for path in paths:
         wrote(path)
-    if written.next:
-        console().print(f"next: {written.next}", soft_wrap=True)
+    if after:
+        console().print(f"next: {after}", soft_wrap=True)
 
 
 def _component(problem: Problem, options: argparse.Namespace, name: str) -> Component:

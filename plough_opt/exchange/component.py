@@ -156,6 +156,14 @@ class Port:
         """The name as an identifier, such as "share_height"."""
         return identifier(self.name)
 
+    @property
+    def limits(self) -> str:
+        """Bounds or limits as text, "" for none."""
+        if math.isfinite(self.lower) and math.isfinite(self.upper):
+            return f"{self.lower:g} to {self.upper:g}"
+        ends = (("at least", self.lower), ("at most", self.upper))
+        return "".join(f"{side} {end:g}" for side, end in ends if math.isfinite(end))
+
 
 def port_of(request: Input, quantity: Quantity, value: Expression) -> Port:
     """Return an input's port.
@@ -200,15 +208,13 @@ def check_names(kind: str, names: Sequence[str]) -> None:
     """Raise InputError if there are no names, one gives no identifier, or two give the same identifier."""
     if not names:
         raise InputError(f"a component needs {kind}s: name at least one")
-    name_of: dict[str, str] = {}
-    for name in names:
-        argument = identifier(name)
+    arguments = [*map(identifier, names)]
+    for k, (name, argument) in enumerate(zip(names, arguments, strict=True)):
         if not argument.isidentifier():
             raise InputError(f"{kind} {shown(name)} must be a name that begins with a letter")
-        if argument in name_of:
-            other = name_of[argument]
+        if argument in arguments[:k]:
+            other = names[arguments.index(argument)]
             raise InputError(f"{kind} '{name}' is given twice" if other == name else f"'{other}' and '{name}' clash")
-        name_of[argument] = name
 
 
 def measure_of(output: Output, law: ResistanceLaw) -> tuple[str, Callable[[Run], Expression]]:
@@ -252,14 +258,10 @@ def interior_points(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
         root = (1.0 + root) ** (1.0 / (len(inputs) + 1))
     increments = root ** -np.arange(1.0, len(inputs) + 1)
     fractions = (0.5 + np.outer(np.arange(1, _INTERIOR_POINTS + 1), increments)) % 1.0
-    return [np.array([_between(port, f) for port, f in zip(inputs, row, strict=True)]) for row in fractions]
-
-
-def _between(port: Port, fraction: float) -> float:
-    """Return the value at a fraction of the way from the lower to the upper bound."""
-    if port.lower > 0.0 and port.upper > _LOG_RATIO * port.lower:
-        return float(port.lower * (port.upper / port.lower) ** fraction)
-    return float(port.lower + (port.upper - port.lower) * fraction)
+    lower, upper = (np.array([getattr(port, side) for port in inputs]) for side in ("lower", "upper"))
+    wide = (lower > 0.0) & (upper > _LOG_RATIO * lower)
+    ratio = np.where(wide, upper / np.where(wide, lower, 1.0), 1.0)
+    return [*np.where(wide, lower * ratio**fractions, lower + (upper - lower) * fractions)]
 
 
 class Component(ca.Function):
@@ -405,15 +407,8 @@ class Component(ca.Function):
         for kind, ports in (("in ", self.inputs), ("out", self.outputs)):
             for port in ports:
                 shape = f"[{port.size}]" if port.size > 1 else ""
-                lines.append(f"{kind} {port.name}{shape} [{port.unit or '1'}]{_limits(port)}, value {port.value:g}")
+                limits = f" {port.limits}" if port.limits else ""
+                lines.append(f"{kind} {port.name}{shape} [{port.unit or '1'}]{limits}, value {port.value:g}")
         steps = f", {self.accuracy.steps} steps" if self.accuracy.steps else ""
         error = f"relative error at most {self.error_estimate:.1e} at the points tried"
         return "\n".join([*lines, f"{self.accuracy.method}{steps}, {error}", *self.warnings])
-
-
-def _limits(port: Port) -> str:
-    """Return the bounds of a port as text."""
-    if math.isfinite(port.lower) and math.isfinite(port.upper):
-        return f" {port.lower:g} to {port.upper:g}"
-    limits = (("at least", port.lower), ("at most", port.upper))
-    return "".join(f" {side} {limit:g}" for side, limit in limits if math.isfinite(limit))

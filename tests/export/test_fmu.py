@@ -519,17 +519,13 @@ def test_the_same_scene_gives_the_same_file(scene, tmp_path):
     other = write_fmu(fmu_scene(**EFFECTS), second, binary=False)
     tokens = {fmpy.read_model_description(str(path)).instantiationToken for path in (first, other)}
     assert len(tokens) == 2
-    page = zipfile.ZipFile(first).read("documentation/index.html").decode()
-    # XML parsers read it: every tag is closed.
-    read = ElementTree.fromstring(page.replace("<!DOCTYPE html>", "").replace('<meta charset="utf-8">', ""))
-    assert "half angle" in "".join(read.itertext())
 
 
 BAD_EXPORTS = [
     ({"motion": False}, {}, "has nothing to integrate"),
     ({"orbit": "periodic"}, {}, "has no start"),
     ({"stiffness": ca.MX.sym("k")}, {}, "evaluate it with best"),
-    ({"stiffness": np.array([1e4, 2e4])}, {}, "an array of 2 values"),
+    ({"stiffness": np.array([1e4, 2e4])}, {}, "accepts one number per quantity, not arrays"),
     ({}, {"strut": "acceleration"}, "must be 'speed' or 'position'"),
     ({"damping": 3.0}, {"strut": "position"}, "a damper in the mount needs the strut's speed"),
     ({"tow_ramp": 0.3}, {"strut": "position"}, "leave tow_ramp out"),

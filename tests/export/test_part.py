@@ -119,15 +119,12 @@ def part(request):
     return BODIES[request.param]
 
 
-@pytest.mark.parametrize(("ending", "size"), [("stl", 1e3), ("gltf", 1.0), ("glb", 1.0)])
-def test_triangles_read_back_are_the_body(part, ending, size, tmp_path):
+def test_triangles_read_back_are_the_body(part, tmp_path):
     share, bent = part
-    read = trimesh.load_scene(write_part(share, tmp_path / f"a.{ending}", **bent)).to_mesh()
+    read = trimesh.load_mesh(write_part(share, tmp_path / "a.stl", **bent))
     body = share.mesh(**bent)
-    corners = size * body.vertices[body.triangles]
-    if ending != "stl":  # glTF's y points up
-        corners = np.stack([corners[..., 0], corners[..., 2], -corners[..., 1]], axis=-1)
-    np.testing.assert_allclose(read.triangles, corners, rtol=0.0, atol=SINGLE * size * share.height)
+    corners = 1e3 * body.vertices[body.triangles]
+    np.testing.assert_allclose(read.triangles, corners, rtol=0.0, atol=SINGLE * 1e3 * share.height)
 
 
 def test_patterns_read_back_have_the_faces_and_the_bending_line(part, tmp_path):

@@ -1,6 +1,5 @@
 """Export of a scene as an FMU for model exchange, FMI 3.0: C source, description and binary."""
 
-import dataclasses
 import hashlib
 import io
 import math
@@ -21,10 +20,10 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_choice
+from plough_opt.core.checks import check_choice, check_single
 from plough_opt.core.compiler import NOT_FOUND, code_of, compile_library, find_compiler
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import as_number, is_casadi, is_quantity, is_symbolic, map_expressions, template_of
+from plough_opt.core.expressions import as_number, is_casadi, map_expressions, template_of
 from plough_opt.core.files import check_file, text_of, write_file
 from plough_opt.core.quantities import BESIDE, EVERY
 from plough_opt.core.units import registry
@@ -113,12 +112,10 @@ class FmuModel:
             ``forward_...`` takes the same arguments and a seed for each of x, u, p and q among them, and returns the
             change of all continuous results in one column; ``reverse_...`` takes the same arguments and a seed for
             that column, and returns the sensitivities to each. A soil with a density profile has neither.
-        depends: name of a rate, output or indicator -> names of the states, inputs and time that it depends on.
     """
 
     of_kind: Mapping[str, tuple[FmuVariable, ...]]
     functions: Mapping[str, ca.Function]
-    depends: Mapping[str, tuple[str, ...]]
 
     @property
     def visible(self) -> tuple[FmuVariable, ...]:
@@ -177,9 +174,7 @@ def model_of(named: NamedScene, *, by_speed: bool) -> FmuModel:
         for name, (arguments, found) in graphs.items()
     }
     of_kind = {kind: tuple(found) for kind, found in expressions.items()} | {"parameters": tuple(used_parameters)}
-    return FmuModel(
-        of_kind, functions, _depends(of_kind, ca.jacobian_sparsity(_column(now), _column([x, u, share.time])))
-    )
+    return FmuModel(of_kind, functions)
 
 
 def _column(values: Any) -> ca.SX:
@@ -213,16 +208,6 @@ def _derivatives(
     }
 
 
-def _depends(of_kind: Mapping[str, tuple[FmuVariable, ...]], pattern: ca.Sparsity) -> dict[str, tuple[str, ...]]:
-    """Return for each rate, output and indicator the names of states, inputs and time that it depends on."""
-    rows = [variable.name for kind in ("rates", "outputs", "indicators") for variable in of_kind[kind]]
-    known = [*(variable.name for kind in ("states", "inputs") for variable in of_kind[kind]), "time"]
-    depends: dict[str, tuple[str, ...]] = dict.fromkeys(rows, ())
-    for row, column in sorted(zip(*pattern.get_triplet(), strict=True)):
-        depends[rows[row]] += (known[column],)
-    return depends
-
-
 def _quantities(named: NamedScene) -> Iterator[FmuVariable]:
     """Yield the named quantities of a scene as parameters."""
     for name, value in named.values.items():
@@ -236,35 +221,23 @@ def _quantities(named: NamedScene) -> Iterator[FmuVariable]:
 def _with_parameters(named: NamedScene) -> tuple[dict[FmuVariable, ca.SX], Scene]:
     """Return a symbol for each parameter of a scene, and the scene with these symbols.
 
-    Beside the named quantities, the numbers of a density profile and of a user's own effects are parameters. The
-    latter have the names of their fields if every number is a field; otherwise they are numbered.
+    Beside the named quantities, the numbers of a density profile and of a user's own effects are parameters.
     """
     symbols = {variable: ca.SX.sym(variable.name) for variable in _quantities(named)}
     scene, _ = named.replaced({variable.name: symbol for variable, symbol in symbols.items()})
+
+    def numbered(part: Any, path: str) -> Any:
+        symbolic, values = template_of(part)
+        for k, (value, symbol) in enumerate(zip(values, template_of(symbolic)[1], strict=True), start=1):
+            name = f"{path}.parameters[{k}]"
+            symbols[FmuVariable(name, "", f"number {k} of {type(part).__name__}", float(value))] = symbol
+        return symbolic
+
     if (profile := scene.soil.density_profile) is not None:
-        parameters, pairs = _with_symbols(profile.parameters)
-        scene = replace(scene, soil=replace(scene.soil, density_profile=replace(profile, parameters=parameters)))
-        for k, (value, symbol) in enumerate(pairs, start=1):
-            what = f"number {k} of the density profile"
-            symbols[FmuVariable(f"soil.density_profile.parameters[{k}]", "", what, value)] = symbol
-    effects: tuple[Any, ...] = scene.effects.own
-    own = []
-    for k, effect in enumerate(effects, start=1):
-        fields = [one.name for one in dataclasses.fields(effect) if is_quantity(getattr(effect, one.name))]
-        symbolic_effect, pairs = _with_symbols(effect)
-        own.append(symbolic_effect)
-        if len(fields) != len(pairs) or not all(map(str.isascii, fields)):
-            fields = [f"parameters[{j}]" for j, _ in enumerate(pairs, start=1)]
-        for field, (value, symbol) in zip(fields, pairs, strict=True):
-            what = f"{field} of the resistance {type(effect).__name__}"
-            symbols[FmuVariable(f"effects.own[{k}].{field}", "", what, value)] = symbol
-    return symbols, replace(scene, effects=replace(scene.effects, own=tuple(own)))
-
-
-def _with_symbols(part: Any) -> tuple[Any, list[tuple[float, ca.SX]]]:
-    """Return a part of a scene with a symbol in place of each number, and the pairs of number and symbol."""
-    template, values = template_of(part)
-    return template, [*zip(map(float, values), template_of(template)[1], strict=True)]
+        profile = replace(profile, parameters=numbered(profile.parameters, "soil.density_profile"))
+        scene = replace(scene, soil=replace(scene.soil, density_profile=profile))
+    own = tuple(numbered(effect, f"effects.own[{k}]") for k, effect in enumerate(scene.effects.own, start=1))
+    return symbols, replace(scene, effects=replace(scene.effects, own=own))
 
 
 def _varying(share: DrivenShare, scene: Scene, given: ca.SX) -> dict[str, Mapping[FmuVariable, Any]]:
@@ -350,61 +323,27 @@ def model_description(model: FmuModel, name: str, token: str, description: str, 
         duration: proposed duration of a simulation [s], or None.
     """
     has_derivatives = str("forward_derive" in model.functions).lower()
-    exchange = _tag(
-        "ModelExchange",
-        modelIdentifier=name,
-        canGetAndSetFMUState="true",
-        canSerializeFMUState="true",
-        providesDirectionalDerivatives=has_derivatives,
-        providesAdjointDerivatives=has_derivatives,
-        needsCompletedIntegratorStep="true",
-    )
-    categories = (_tag("Category", name=category, description=text) for category, text in _CATEGORIES.items())
+    abilities = dict.fromkeys(("canGetAndSetFMUState", "canSerializeFMUState", "needsCompletedIntegratorStep"), "true")
+    abilities |= dict.fromkeys(("providesDirectionalDerivatives", "providesAdjointDerivatives"), has_derivatives)
     end = {} if duration is None else {"stopTime": repr(float(duration))}
-    root = _tag(
-        "fmiModelDescription",
-        exchange,
+    content = [
+        _tag("ModelExchange", modelIdentifier=name, **abilities),
         _tag("UnitDefinitions", *_units(model)),
-        _tag("LogCategories", *categories),
+        _tag("LogCategories", *(_tag("Category", name=one, description=text) for one, text in _CATEGORIES.items())),
         _tag("DefaultExperiment", startTime="0.0", tolerance=repr(_TOLERANCE), **end),
         _tag("ModelVariables", *_variables(model)),
         _tag("ModelStructure", *_structure(model)),
-        fmiVersion="3.0",
-        modelName=name,
-        instantiationToken=token,
-        description=description,
-        generationTool=f"plough_opt {version('plough_opt')}",
-        variableNamingConvention="structured",
-    )
+    ]
+    about = {"fmiVersion": "3.0", "modelName": name, "instantiationToken": token, "description": description}
+    about |= {"generationTool": f"plough_opt {version('plough_opt')}", "variableNamingConvention": "structured"}
+    root = _tag("fmiModelDescription", *content, **about)
     return _xml(root)
 
 
-def build_description(name: str, source: str) -> bytes:
-    """Return sources/buildDescription.xml, which tells a tool how to compile the FMU for its platform."""
-    file_set = _tag("SourceFileSet", _tag("SourceFile", name=source), language="C11")
-    configuration = _tag("BuildConfiguration", file_set, modelIdentifier=name)
-    return _xml(_tag("fmiBuildDescription", configuration, fmiVersion="3.0"))
-
-
-def documentation(model: FmuModel, name: str, description: str, notes: Iterable[str]) -> bytes:
-    """Return documentation/index.html: a table of the variables, and warnings about the results."""
-    shown = (*model.of_kind["inputs"], *model.of_kind["parameters"], *model.visible)
-    rows = [("variable", "unit", "meaning"), *((one.name, _spelled(one.unit), one.description) for one in shown)]
-    cells = ((_tag("td" if k else "th", text) for text in row) for k, row in enumerate(rows))
-    table = _tag("table", *(_tag("tr", *row) for row in cells))
-    items = _tag("ul", *(_tag("li", note) for note in notes))
-    head = _tag("head", _tag("meta", charset="utf-8"), _tag("title", name))
-    root = _tag("html", head, _tag("body", _tag("h1", name), _tag("p", description), items, table), lang="en")
-    ElementTree.indent(root)
-    text: bytes = ElementTree.tostring(root, encoding="utf-8", method="html")
-    return b"<!DOCTYPE html>\n" + text + b"\n"
-
-
-def _tag(name: str, /, *content: ElementTree.Element | str, **attributes: str) -> ElementTree.Element:
-    """Return an element with its attributes and its children, both in the given order, or with its text."""
+def _tag(name: str, /, *content: ElementTree.Element, **attributes: str) -> ElementTree.Element:
+    """Return an element with its attributes and its children, both in the given order."""
     element = ElementTree.Element(name, attributes)
-    element.text = next((one for one in content if isinstance(one, str)), None)
-    element.extend(one for one in content if not isinstance(one, str))
+    element.extend(content)
     return element
 
 
@@ -463,7 +402,7 @@ def _variables(model: FmuModel) -> Iterator[ElementTree.Element]:
 
 
 def _structure(model: FmuModel) -> Iterator[ElementTree.Element]:
-    """Yield outputs, rates, initial unknowns and event indicators with their dependencies."""
+    """Yield outputs, rates, initial unknowns and event indicators."""
     of_kind, reference = model.of_kind, model.references
     unknown = (*model.visible, *of_kind["rates"], *of_kind["calculated"])
     for name, variables in (
@@ -473,10 +412,7 @@ def _structure(model: FmuModel) -> Iterator[ElementTree.Element]:
         ("EventIndicator", of_kind["indicators"]),
     ):
         for variable in variables:
-            attributes = {"valueReference": reference[variable.name]}
-            if name != "InitialUnknown" and variable.name in model.depends:
-                attributes["dependencies"] = " ".join(reference[on] for on in model.depends[variable.name])
-            yield _tag(name, **attributes)
+            yield _tag(name, valueReference=reference[variable.name])
 
 
 def c_source(model: FmuModel, *, pushes: bool, by_speed: bool) -> tuple[str, str]:
@@ -511,16 +447,15 @@ def _constants(model: FmuModel, pushes: bool, by_speed: bool) -> str:
         for one in of_kind["parameters"]
     )
     starts = _row(variable.start for kind in ("inputs", "parameters") for variable in of_kind[kind])
-    return "\n".join(
-        (
-            *(f"#define {name} {count}" for name, count in counts.items()),
-            "#include <math.h>",
-            "typedef struct { const char *name; double low, high; int above, below; } Limits;",
-            f"static const Limits limits[] = {{\n{limits}}};",
-            f"static const double starts[] = {{{starts}}};",
-            f"static const double nominals[] = {{{_row(variable.magnitude for variable in of_kind['states'])}}};",
-        )
-    )
+    lines = [
+        *(f"#define {name} {count}" for name, count in counts.items()),
+        "#include <math.h>",
+        "typedef struct { const char *name; double low, high; int above, below; } Limits;",
+        f"static const Limits limits[] = {{\n{limits}}};",
+        f"static const double starts[] = {{{starts}}};",
+        f"static const double nominals[] = {{{_row(variable.magnitude for variable in of_kind['states'])}}};",
+    ]
+    return "\n".join(lines)
 
 
 def _row(values: Iterable[float]) -> str:
@@ -581,10 +516,11 @@ def write_fmu(
     model = model_of(NamedScene(scene, steel_density=steel_density), by_speed=by_speed)
     source, token = c_source(model, pushes=scene.effects.contact == "resisting", by_speed=by_speed)
     description = f"{scene.describe()}; the strut's {strut} is the input"
+    files = _tag("SourceFileSet", _tag("SourceFile", name=f"{name}.c"), language="C11")
+    built = _tag("BuildConfiguration", files, modelIdentifier=name)  # how a tool compiles it for its platform
     content = {
         "modelDescription.xml": model_description(model, name, token, description, duration),
-        "documentation/index.html": documentation(model, name, description, scene.warnings()),
-        "sources/buildDescription.xml": build_description(name, f"{name}.c"),
+        "sources/buildDescription.xml": _xml(_tag("fmiBuildDescription", built, fmiVersion="3.0")),
         f"sources/{name}.c": source.encode(),
     }
     if binary:
@@ -615,18 +551,9 @@ def _check(scene: Scene, strut: str, duration: float | None, name: str) -> None:
 
 
 def _numeric(scene: Scene) -> Scene:
-    """Return the scene with every number as a float.
-
-    Raises:
-        InputError: the scene holds symbols or arrays.
-    """
-
-    def number(value: Any) -> float:
-        if not is_symbolic(value) and as_number(value).size != 1:
-            raise InputError(f"an FMU holds one scene, not an array of {as_number(value).size} values: give one")
-        return float(as_number(value))
-
-    plain: Scene = map_expressions(scene, number, lambda value: is_casadi(value) or isinstance(value, np.ndarray))
+    """Return the scene with every number as a float; raise InputError if it holds symbols or arrays."""
+    check_single("an FMU", scene)
+    plain: Scene = map_expressions(scene, lambda value: float(as_number(value)), is_casadi)
     return plain
 
 

@@ -10,6 +10,7 @@ import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.errors import InputError
@@ -50,34 +51,19 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Written:
-    """Files that an export has written.
-
-    Attributes:
-        paths: paths of the files, or of the folder.
-        said: a description of the content, or "".
-        next: a command or a sentence on how to use it.
-    """
-
-    paths: tuple[Path, ...]
-    said: str = ""
-    next: str = ""
-
-
-@dataclass(frozen=True)
 class Format:
     """An export format.
 
     Args:
         what: what is written, such as "a new folder with C source", or the kind of file.
-        write: writes it.
+        write: writes it; returns a description of the content, and how to use it, each may be "".
         endings: possible endings of the file's name, such as (".fmu",); () for a new folder.
         options: names of its options beside the path: see `plough-opt export --help`.
         needs: module of an optional library that it needs, or "".
     """
 
     what: str
-    write: Callable[[Request], Written]
+    write: Callable[[Request], tuple[str, str]]
     endings: tuple[str, ...] = ()
     options: tuple[str, ...] = ("inputs", "outputs", "name")
     needs: str = ""
@@ -100,95 +86,95 @@ class Format:
         return f"{self.what}{', ' if self.endings else ''}{' or '.join(self.endings)}"
 
 
-def _c(request: Request) -> Written:
-    from plough_opt.exchange.export.c import write_c
+def _of_component(writer: str, hint: Callable[[Path, str], str]) -> Callable[[Request], tuple[str, str]]:
+    """Return what writes a component.
 
-    component = request.component()
-    path = write_c(component, request.path)
-    return Written((path,), str(component), f"make -C {shlex.quote(str(path))}")
+    Args:
+        writer: the function that does it, as "module:name".
+        hint: path and name of the component -> how to use it.
+    """
 
+    def write(request: Request) -> tuple[str, str]:
+        component, more = request.component(), request.options.get("description")
+        write_it = resolve_name(f"plough_opt.exchange.export.{writer}")
+        path = write_it(component, request.path, *([more] if more else []))
+        return str(component), hint(path, component.name())
 
-def _casadi(request: Request) -> Written:
-    from plough_opt.exchange.export.c import write_casadi
-
-    component, description = request.component(), request.options.get("description")
-    path = write_casadi(component, request.path, description)
-    load = shlex.quote(f"import casadi; print(casadi.Function.load({path.as_posix()!r}))")
-    warning = "  # loading such a file can run code: load only files that you trust"
-    return Written((path, *([Path(description)] if description else [])), str(component), f"python -c {load}{warning}")
-
-
-def _javascript(request: Request) -> Written:
-    from plough_opt.exchange.export.javascript import write_javascript
-
-    component = request.component()
-    path = write_javascript(component, request.path)
-    hint = f"in node or a page: import {{ evaluate }} from './{path.name}'; evaluate({{}}) has the results"
-    return Written((path,), str(component), hint)
+    return write
 
 
-def _openmdao(request: Request) -> Written:
-    from plough_opt.exchange.export.openmdao import write_openmdao
-
-    component = request.component()
-    path = write_openmdao(component, request.path)
-    module = path / component.name()
-    hint = f"{module}.py holds an openmdao.api.ExplicitComponent; add_design declares variables and constraints"
-    return Written((path,), str(component), hint)
+def _load(path: Path, _: str) -> str:
+    code = shlex.quote(f"import casadi; print(casadi.Function.load({path.as_posix()!r}))")
+    return f"python -c {code}  # loading such a file can run code: load only files that you trust"
 
 
-def _fmu(request: Request) -> Written:
+def _fmu(request: Request) -> tuple[str, str]:
     from plough_opt.exchange.export.fmu import write_fmu
 
     given: dict[str, Any] = {name: getattr(request, name) for name in ("steel_density", "duration", "name")}
     binary = not request.options.get("sources")
-    path = write_fmu(request.scene, request.path, strut=request.options.get("strut") or "speed", binary=binary, **given)
-    return Written((path,), "", f"fmpy simulate {shlex.quote(request.path)} --show-plot")
+    write_fmu(request.scene, request.path, strut=request.options.get("strut") or "speed", binary=binary, **given)
+    return "", f"fmpy simulate {shlex.quote(request.path)} --show-plot"
 
 
-def _part(request: Request) -> Written:
+def _part(request: Request) -> tuple[str, str]:
     from plough_opt.exchange.export.part import write_part
 
-    given = request.options
-    if given.get("body") == "cone" and (given.get("opening") or given.get("thickness")):
+    bent = {name: request.options.get(name) for name in ("opening", "thickness")}
+    cone = request.options.get("body") == "cone"
+    if cone and any(bent.values()):
         raise InputError("--opening and --thickness belong to a wedge: leave them out for a cone, which is solid")
     scene = request.scene if request.best is None else request.best()
-    body: Wedge | Cone = scene.cone if given.get("body") == "cone" else scene.share
-    opening, thickness = given.get("opening"), given.get("thickness")
-    path = write_part(body, request.path, opening=opening, thickness=thickness)
-    return Written((path,), _described(body, opening, thickness, request.design))
+    body: Wedge | Cone = scene.cone if cone else scene.share
+    write_part(body, request.path, **bent)
+    return _described(body, **bent, design=request.design), ""
 
 
 def _described(body: Wedge | Cone, opening: float | None, thickness: float | None, design: str) -> str:
     """Return the measures of a part in words."""
     from plough_opt.soil.geometry import Cone
 
+    size = f"height {1e3 * body.height:.4g} mm"
     if isinstance(body, Cone):
-        angle = math.degrees(body.half_angle)
-        return (
-            f"Cone of {design}: half angle {angle:.4g} deg, height {1e3 * body.height:.4g} mm, solid,"
-            f" {1e6 * body.volume:.4g} cm^3, lateral surface {1e4 * body.area:.4g} cm^2"
-        )
-    solid = body.mesh(opening=opening, thickness=thickness)
-    kind = "a block" if thickness is None else f"plate of {1e3 * thickness:.4g} mm"
-    between = math.degrees(body.opening if opening is None else opening)
-    return (
-        f"Share of {design}: wedge angle {math.degrees(body.angle):.4g} deg, chisel angle"
-        f" {math.degrees(body.chisel_angle):.4g} deg, height {1e3 * body.height:.4g} mm, {between:.4g} deg between the"
-        f" faces, {kind}, {1e6 * solid.volume:.4g} cm^3, faces {1e4 * solid.working_area:.4g} cm^2"
-    )
+        what = f"Cone of {design}: half angle {math.degrees(body.half_angle):.4g} deg, {size}, solid"
+        solid = body.mesh()
+    else:
+        solid = body.mesh(opening=opening, thickness=thickness)
+        angles = (body.angle, body.chisel_angle, body.opening if opening is None else opening)
+        wedge, chisel, between = (f"{math.degrees(angle):.4g} deg" for angle in angles)
+        kind = "a block" if thickness is None else f"plate of {1e3 * thickness:.4g} mm"
+        faces = f"wedge angle {wedge}, chisel angle {chisel}, {size}, {between} between the faces"
+        what = f"Share of {design}: {faces}, {kind}"
+    return f"{what}, {1e6 * solid.volume:.4g} cm^3, faces {1e4 * solid.working_area:.4g} cm^2"
 
 
 _PART_OPTIONS = ("opening", "thickness", "body", "at")
+_MODULE = "in node or a page: import {{ evaluate }} from './{}'; evaluate({{}}) has the results".format
+_CLASS = "{}.py holds an openmdao.api.ExplicitComponent; add_design declares variables and constraints".format
 
 FORMATS: Final[dict[str, Format]] = {
-    "c": Format("a new folder with C source, header and a test", _c),
-    "casadi": Format("serialised CasADi Function", _casadi, (".casadi",), ("inputs", "outputs", "name", "description")),
-    "javascript": Format("ES module for web pages and node", _javascript, (".mjs", ".js")),
-    "openmdao": Format("a new folder with a Python module", _openmdao, needs="openmdao.api"),
+    "c": Format(
+        "a new folder with C source, header and a test",
+        _of_component("c:write_c", lambda path, _: f"make -C {shlex.quote(str(path))}"),
+    ),
+    "casadi": Format(
+        "serialised CasADi Function",
+        _of_component("c:write_casadi", _load),
+        (".casadi",),
+        ("inputs", "outputs", "name", "description"),
+    ),
+    "javascript": Format(
+        "ES module for web pages and node",
+        _of_component("javascript:write_javascript", lambda path, _: _MODULE(path.name)),
+        (".mjs", ".js"),
+    ),
+    "openmdao": Format(
+        "a new folder with a Python module",
+        _of_component("openmdao:write_openmdao", lambda path, name: _CLASS(path / name)),
+        needs="openmdao.api",
+    ),
     "fmu": Format("FMU for model exchange, FMI 3.0", _fmu, (".fmu",), ("name", "strut", "sources")),
     "stl": Format("triangles of the share in mm", _part, (".stl",), _PART_OPTIONS, "trimesh"),
-    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _PART_OPTIONS, "trimesh"),
     "dxf": Format("the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _PART_OPTIONS, "ezdxf"),
     "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _PART_OPTIONS, "build123d"),
 }

@@ -253,9 +253,7 @@ def _types(name: str, about: str, ports: Iterable[Port], optional: str = "") -> 
     """Return a JSDoc type whose members are ports, a line with unit and limits for each."""
     lines = []
     for port in ports:
-        ends = (("at least", port.lower), ("at most", port.upper))
-        limits = [f"{side} {end:g}" for side, end in ends if math.isfinite(end)]
         many = f" at {port.size} output times" if port.size > 1 else ""
-        of = ", ".join([f"in {port.unit or 'no unit'}{many}", *limits]).replace("*/", "* /")
+        of = f"in {port.unit or 'no unit'}{many}{port.limits and ', '}{port.limits}".replace("*/", "* /")
         lines.append(f" *   {json.dumps(port.name)}{optional}: number{'[]' if port.size > 1 else ''}, // {of}")
     return "\n".join(["/**", f" * {about}", " * @typedef {{", *lines, f" * }}}} {name}", " */"])

@@ -1,4 +1,4 @@
-"""The share as a part for a workshop: STL, glTF, DXF and STEP, each written by a library for the format."""
+"""The share as a part for a workshop: STL, DXF and STEP, each written by a library for the format."""
 
 import io
 import math
@@ -37,7 +37,6 @@ def write_part(
     """Write a numeric share as a part for a workshop; the file's ending determines the format.
 
     * ``.stl``: triangles in millimetres, for printing and milling (trimesh).
-    * ``.gltf``, ``.glb``: triangles in metres with y up, as glTF requires, for viewing (trimesh).
     * ``.dxf``: a cutting pattern, the outer faces laid flat in millimetres without bend allowance: both faces of a
       wedge with the bending line, or the sector that rolls up into a cone (ezdxf).
     * ``.step``, ``.stp``: exact faces in millimetres, for CAD (build123d).
@@ -81,19 +80,6 @@ def write_part(
 def _stl(trimesh: Any, part: _Part) -> bytes:
     body = trimesh.Trimesh(_MM * part.body.vertices, part.body.triangles, process=False)
     return bytes(body.export(file_type="stl"))
-
-
-def _scene(trimesh: Any, part: _Part) -> Any:
-    x, y, z = part.body.vertices.T
-    return trimesh.Scene({"share": trimesh.Trimesh([*zip(x, z, -y, strict=True)], part.body.triangles, process=False)})
-
-
-def _glb(trimesh: Any, part: _Part) -> bytes:
-    return bytes(_scene(trimesh, part).export(file_type="glb"))
-
-
-def _gltf(trimesh: Any, part: _Part) -> bytes:
-    return bytes(_scene(trimesh, part).export(file_type="gltf", embed_buffers=True)["model.gltf"])
 
 
 def _dxf(ezdxf: Any, part: _Part) -> str:
@@ -155,8 +141,6 @@ def _step(cad: Any, part: _Part) -> bytes:
 
 _WRITERS: Final[dict[str, tuple[str, Callable[[Any, _Part], str | bytes]]]] = {
     ".stl": ("trimesh", _stl),
-    ".gltf": ("trimesh", _gltf),
-    ".glb": ("trimesh", _glb),
     ".dxf": ("ezdxf", _dxf),
     ".step": ("build123d", _step),
     ".stp": ("build123d", _step),

@@ -193,6 +193,6 @@ def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str
         run = quasi_static(scene, case.p, duration, timeline, accuracy)
         check = quasi_static(scene, case.p, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
     if not all(np.isfinite(as_number(part)).all() for part in (run.mount_force, run.mean_draft, run.force_rms)):
-        why = checks.unsound_own(scene, run, 0.0) or "check its quantities"
+        why = checks.unsound_own(scene, duration) or "check its quantities"
         raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: {why}")
     return run, difference(run, check), ()

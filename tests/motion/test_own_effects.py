@@ -117,7 +117,7 @@ def test_a_jump_leaves_equal_steps_for_a_method_that_finds_it(start, at, monkeyp
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_force_that_runs_away_is_named_or_the_run_ends(seed):
+def test_a_force_that_runs_away_is_a_cause_or_the_run_ends(seed):
     random = np.random.default_rng(seed)
     size, power = 10.0 ** random.uniform(-1.0, 5.0) * random.choice([-1.0, 1.0]), int(random.integers(2, 6))
     law = [lambda _, v: size * v**power, lambda _, v: size * v * exp(0.3 * power * v)][seed % 2]
@@ -128,11 +128,10 @@ def test_a_force_that_runs_away_is_named_or_the_run_ends(seed):
     except po.IntegrationError as error:
         words = str(error)
     else:
-        words = "beyond t = own effect Own"
+        words = "own effect"
         assert np.isfinite(run.mount_force).all()
         assert run.error_estimate <= 1e-8 or run.checks.notes
-    assert "own effect Own" in words
-    assert "beyond t = " in words
+    assert "own effect" in words
 
 
 # --- under stick and slip ---

@@ -1,6 +1,6 @@
 """Refusals: choices, scenes and runs without meaning, each with its reason.
 
-A motion that cannot be integrated is refused soon, and the message says when it ends and why.
+A motion that cannot be integrated is refused soon, and the message says why.
 """
 
 import math
@@ -9,10 +9,8 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 import pytest
-from helpers.forces import SLIP, Forces
 from helpers.scenes import SEROZEM, SHARE, Own, Waves, scene_of
 from helpers.small_designs import design
-from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.core.expressions import where
@@ -225,9 +223,9 @@ LATE = [
     *[(run(2.0, strength_wave=po.StrengthWave(0.3, 1e-6), motion=motion), COUNTLESS) for motion in (True, False)],
     *[(run(1e9, strength_wave=po.StrengthWave(0.3, 0.6), motion=motion), COUNTLESS) for motion in (True, False)],
     *[(run(method=method, stiffness=stiffness, own=(own,)), words) for method, stiffness, own, words in (
-        ("erk", 5e4, DRAWN, r"the own effect Own drives the share ever faster: .* at a travel of 0\.3 m"),
+        ("erk", 5e4, DRAWN, r"a resistance drives the share away.* let own effects oppose the motion"),
         ("dop853", 5e4, BED, ": steps are too long"),
-        ("erk", 1e12, DRAWN, r"it oscillates \S+ times until then: .* a softer or a damped mount"))],
+        ("erk", 1e12, DRAWN, r"it oscillates \S+ times: .* a softer or a damped mount"))],
     # A stiff mount would take minutes.
     (run(stiffness=1e12, start="rest"), "times, which would take"),
     (run(None, stiffness=1e9, tow_speed=0.5, strength_wave=po.StrengthWave(0.3, 4.0), orbit="periodic"),
@@ -324,37 +322,12 @@ def refusal(scene, duration, **keywords):
     return str(caught.value)
 
 
-def escape(scene, duration):
-    """Return, by SciPy, the time at which a share retreats a million times faster than it is towed."""
-    forces = Forces(scene)
-
-    def rates(t, x):
-        return [x[1], forces.acceleration(SLIP, forces.pull(t, *x), *x)]
-
-    def fast(_, x):
-        return x[1] + 1e6 * scene.tow_speed
-
-    fast.terminal = True
-    return solve_ivp(rates, (0.0, duration), forces.start()[:2], events=fast, rtol=1e-9, atol=1e-9).t[-1]
-
-
 @pytest.mark.parametrize("rate_term", [None, 0.1])
-@pytest.mark.parametrize("start", ["rest", "towed"])
-@pytest.mark.parametrize("mass", [0.07, 45.0])
-def test_a_share_driven_away_by_the_soil(mass, start, rate_term):
-    scene = scene_of(STRONG, SHARE, 1e3, mass, 1.0, start=start, rate_term=rate_term)
-    message = refusal(scene, 0.5)
-    assert "the share retreats there at" in message
-    assert "without bound in finite time" in message
+@pytest.mark.parametrize(("mass", "effects"), [(0.07, {"start": "rest"}), (45.0, {"start": "towed"})])
+def test_a_share_driven_away_by_the_soil(mass, effects, rate_term):
+    message = refusal(scene_of(STRONG, SHARE, 1e3, mass, 1.0, rate_term=rate_term, **effects), 0.6)
+    assert "under contact 'resisting' the soil does once a share retreats: use contact = StickSlip()" in message
     assert "oscillat" not in message
-    end = float(message.split("beyond t = ")[1].split(" s of")[0])
-    # Bisected to 1 part in 5,000 with a tolerance of 1e-4, and printed with four digits.
-    assert end == pytest.approx(escape(scene, 0.5), rel=2e-3)
-
-
-def test_a_share_driven_away_while_it_enters():
-    scene = scene_of(STRONG, po.Wedge(1.2, 0.2, 0.3), 1e3, 5.0, 1.0, start="towed", entry=True)
-    assert "the share retreats there at" in refusal(scene, 0.6)
 
 
 ROOTED = Own(lambda travel, speed: 100.0 * po.expressions.sqrt(0.3 - travel) + 0.0 * speed)  # no value beyond 0.3 m

@@ -84,94 +84,64 @@ class Effects:
     formulation: Formulation = "derived"
 
     def __post_init__(self) -> None:
-        self._check_types()
+        for name in ("motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"):
+            check_switch(name, getattr(self, name))
+            object.__setattr__(self, name, bool(getattr(self, name)))
         if not isinstance(self.contact, Smooth | StickSlip):
             check_choice("contact", self.contact, ("resisting",), ", Smooth(width) or StickSlip(breakaway)")
         check_choice("orbit", self.orbit, ("transient", "periodic"))
         check_choice("start", self.start, ("equilibrium", "rest", "towed"))
-        read_fields(self, **{name: f"effects.{name}" for name in ("tow_ramp", "damping", "speed_term", "rate_term")})
-        if not self.motion:
-            self._check_quasi_static()
-        if self.entry and self.start == "equilibrium":
-            raise InputError("entry begins at first contact, before any steady state: use start = 'rest' or 'towed'")
-        check_own(self.own, resting=isinstance(self.contact, StickSlip))
-        if self.orbit != "transient":
-            self._check_orbit()
-        if self.tow_profile is not None:
-            self._check_profile()
-        if self.printed.repelling_spring and self.contact != "resisting":
-            raise InputError("the print has no contact law: use contact = 'resisting' with its repelling spring")
-
-    def _check_types(self) -> None:
-        """Raise InputError if a switch or a strength has the wrong type; make switches bool."""
-        for name in ("motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"):
-            value = getattr(self, name)
-            check_switch(name, value)
-            object.__setattr__(self, name, bool(value))
-        several = isinstance(self.strength_wave, tuple)
-        if (several and not self.strength_wave) or not all(isinstance(wave, StrengthWave) for wave in self.waves):
+        check_kind("tow_profile", self.tow_profile, SpeedProfile | None, "None or a SpeedProfile")
+        wanted = "None, a RandomStrength such as RandomStrength(rms=0.2, correlation_length=0.3), or a Spectrum"
+        check_kind("random_strength", self.random_strength, RandomStrength | Spectrum | None, wanted)
+        if self.strength_wave == () or not all(isinstance(wave, StrengthWave) for wave in self.waves):
             raise InputError(
                 f"strength_wave = {shown(self.strength_wave)} must be None or a StrengthWave, such as"
                 " StrengthWave(amplitude=0.3, wavelength=0.2), or a tuple of several"
             )
-        wanted = "None, a RandomStrength such as RandomStrength(rms=0.2, correlation_length=0.3), or a Spectrum"
-        check_kind("random_strength", self.random_strength, RandomStrength | Spectrum | None, wanted)
         if len(self.waves) > MOST_WAVES:
             raise InputError(f"strength_wave has {len(self.waves)} waves: give at most the {MOST_WAVES} largest")
-
-    def _check_orbit(self) -> None:
-        """Raise InputError if a periodic orbit cannot have one of the effects."""
-        if not self.motion:
-            raise InputError("an orbit needs motion: a quasi-static share repeats itself from the start")
-        if self.strength_wave is None:
-            raise InputError("an orbit needs a strength_wave: without one the share ends up sliding steadily")
+        read_fields(self, **{name: f"effects.{name}" for name in ("tow_ramp", "damping", "speed_term", "rate_term")})
+        check_own(self.own, resting=isinstance(self.contact, StickSlip))
+        for why, excluded in self._exclusions().items():
+            if excluded:
+                raise InputError(why)
         # Templates of scenes have SX as placeholders of numbers; no orbit takes SX, as `integrators.embed` says.
-        if not any(isinstance(wave.wavelength, ca.SX) for wave in self.waves):
+        if self.orbit != "transient" and not any(isinstance(wave.wavelength, ca.SX) for wave in self.waves):
             turns_of(self.waves)  # refuses waves without a common length
-        if len(self.waves) > 1 and self.own:
-            raise InputError("an orbit under several strength waves cannot have own resistances: simulate from a start")
-        if self.contact != "resisting":
-            raise InputError("an orbit needs contact = 'resisting': simulate other contacts from a start until settled")
-        if self.start != "equilibrium" or self.tow_ramp is not None or self.entry:
-            raise InputError("an orbit has no start: omit start, tow_ramp and entry")
-        if self.printed.repelling_spring:
-            raise InputError("the print's repelling spring has no periodic orbit: use formulation = 'derived'")
 
-    def _check_profile(self) -> None:
-        """Raise InputError if a strut whose speed varies cannot have one of the effects."""
-        check_kind("tow_profile", self.tow_profile, SpeedProfile, "a SpeedProfile")
-        if self.orbit != "transient":
-            raise InputError("a tow speed that varies has no periodic orbit: leave orbit out, or use a constant speed")
-        if self.tow_ramp is not None:
-            raise InputError(
-                "tow_ramp and a varying tow speed both prescribe the strut's motion: leave one of them out"
-            )
-        if self.events:
-            cause = "entry" if self.entry else "StickSlip"
-            raise InputError(
-                f"the events of {cause} are located at constant tow speed or with tow_ramp only: use Smooth(width)"
-                " without entry, or integrate scene.equation(controls=('tow_speed',)) with its events"
-            )
-        if self.random_strength is not None:
-            raise InputError(
-                "random strength has stationary results at a constant tow speed only: leave one of them out"
-            )
-
-    def _check_quasi_static(self) -> None:
-        """Raise InputError if a quasi-static scene cannot have one of the effects."""
-        if self.start != "equilibrium":
-            raise InputError(
-                f"start = '{self.start}' needs motion: a quasi-static share follows the strut from the start"
-            )
-        if self.damping is not None:
-            raise InputError("damping needs motion: in a quasi-static scene the mount never moves, so omit it")
-        if self.contact != "resisting":
-            raise InputError("a contact law needs motion: a quasi-static share never stops or retreats")
-        if self.printed.repelling_spring:
-            raise InputError(
-                "the print's repelling spring needs motion: a repelled share never follows the strut, so there is no"
-                " quasi-static limit; use formulation = 'derived'"
-            )
+    def _exclusions(self) -> dict[str, bool]:
+        """Return the reasons for which effects exclude each other, and whether these do."""
+        still, orbit, varies = not self.motion, self.orbit != "transient", self.tow_profile is not None
+        started, contact = self.start != "equilibrium", self.contact != "resisting"
+        repels, ramp = self.printed.repelling_spring, self.tow_ramp is not None
+        return {
+            "entry begins at first contact, before any steady state: use start = 'rest' or 'towed'":
+                self.entry and not started,
+            "the print has no contact law: use contact = 'resisting' with its repelling spring": repels and contact,
+            f"start = '{self.start}' needs motion: a quasi-static share follows the strut from the start":
+                still and started,
+            "damping needs motion: in a quasi-static scene the mount never moves, so omit it":
+                still and self.damping is not None,
+            "a contact law needs motion: a quasi-static share never stops or retreats": still and contact,
+            "the print's repelling spring needs motion, for a repelled share never follows the strut:"
+            " use formulation = 'derived'": still and repels,
+            "an orbit needs motion: a quasi-static share repeats itself from the start": orbit and still,
+            "an orbit needs a strength_wave: without one the share ends up sliding steadily": orbit and not self.waves,
+            "an orbit under several strength waves cannot have own resistances: simulate from a start":
+                orbit and len(self.waves) > 1 and bool(self.own),
+            "an orbit needs contact = 'resisting': simulate other contacts from a start until settled":
+                orbit and contact,
+            "an orbit has no start: omit start, tow_ramp and entry": orbit and (started or ramp or self.entry),
+            "the print's repelling spring has no periodic orbit: use formulation = 'derived'": orbit and repels,
+            "a tow speed that varies has no periodic orbit: leave orbit out, or use a constant speed": varies and orbit,
+            "tow_ramp and a varying tow speed both prescribe the strut's motion: leave one out": varies and ramp,
+            "the events of StickSlip and entry are located at constant tow speed or with tow_ramp only: use"
+            " Smooth(width) without entry, or integrate scene.equation(controls=('tow_speed',)) with its events":
+                varies and self.events,
+            "random strength has stationary results at a constant tow speed only: leave one of them out":
+                varies and self.random_strength is not None,
+        }  # fmt: skip
 
     @property
     def waves(self) -> tuple[StrengthWave, ...]:

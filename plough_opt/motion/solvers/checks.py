@@ -11,7 +11,7 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import SLIP, STICK, Structure, parameters
-from plough_opt.motion.methods import METHODS, Accuracy
+from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.run import Averages, Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers import plan
@@ -140,99 +140,60 @@ def _runaway(scene: Scene) -> str:
 
 # --- the cause of a failure ---
 
+_DRIVEN = (
+    "steps are too long, the tolerance is tighter than rounding allows, or a resistance drives the share away without"
+    " bound, as under contact 'resisting' the soil does once a share retreats: use contact = StickSlip(), a stiffer"
+    " mount or a shorter duration, and let own effects oppose the motion"
+)
 
-def failed_by(scene: Scene, duration: float, accuracy: Accuracy, last: Run | None, pause: float) -> IntegrationError:
-    """Return the error that says when and why an integration failed, and what to do.
+
+def failed_by(scene: Scene, duration: float, accuracy: Accuracy) -> IntegrationError:
+    """Return the error that says why an integration failed, as far as the scene tells, and what to do.
 
     Args:
         scene: numeric scene.
         duration: of the run [s].
         accuracy: method and setting of the integration that failed.
-        last: the motion until shortly before it failed, or None if it failed at once.
-        pause: time from the end of ``last`` to the failure [s].
     """
-    until = 0.0 if last is None else float(last.duration)
-    failure = (
-        f"the motion of a {scene.describe()} could not be integrated by '{accuracy.method}' beyond"
-        f" t = {until:.4g} s of {duration:g} s: "
-    )
-    if (unsound := unsound_own(scene, last, pause)) is not None:
-        return Escape(failure + unsound)
-    if scene.effects.printed.repelling_spring:
-        return Escape(failure + _runaway(scene))
-    # The last speed of fixed steps that were too long may be any number.
-    if last is not None and last.accuracy.adaptive and (driven := _driven(scene, last)) is not None:
-        return Escape(failure + driven)
     total = plan.rates_of(scene).fastest * duration
     turns = total / (2.0 * math.pi)
-    if METHODS[accuracy.method].order is not None:
-        enough = plan.with_setting(replace(accuracy, steps=None), plan.steps_for(total), 1).steps or 0
-        if enough > 2 * (accuracy.steps or 0):
-            few = f"{accuracy.steps} steps are too few for {turns:.3g} oscillations: use steps={enough}"
-            return IntegrationError(failure + few)
-    if total > plan.STIFF_PHASE:
-        return IntegrationError(
-            f"{failure}it oscillates {turns:.3g} times until then: use the quasi-static scene (Effects(motion=False)),"
-            " a softer or a damped mount, or a shorter duration"
+    enough = plan.with_setting(replace(accuracy, steps=None), plan.steps_for(total), 1).steps or 0
+    kind: type[IntegrationError] = IntegrationError
+    if unsound := unsound_own(scene, duration):
+        kind, why = Escape, unsound
+    elif scene.effects.printed.repelling_spring:
+        kind, why = Escape, _runaway(scene)
+    elif enough > 2 * (accuracy.steps or enough):
+        why = f"{accuracy.steps} steps are too few for {turns:.3g} oscillations: use steps={enough}"
+    elif total > plan.STIFF_PHASE:
+        why = (
+            f"it oscillates {turns:.3g} times: use the quasi-static scene (Effects(motion=False)), a softer or a damped"
+            " mount, or a shorter duration"
         )
-    why = "steps are too long, the tolerance is tighter than rounding allows, or the resistance drives the share away"
-    return IntegrationError(failure + why)
+    else:
+        why = _DRIVEN
+    return kind(f"the motion of a {scene.describe()} could not be integrated by '{accuracy.method}': {why}")
 
 
-def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
-    """Return a sentence on an own effect with a force that is not finite along a motion or shortly after; else None.
+def unsound_own(scene: Scene, duration: float) -> str:
+    """Return a sentence on an own effect with a force that is not finite along the strut's path; "" if there is none.
 
     Args:
         scene: numeric scene.
-        last: the motion, or None to check the start only.
-        pause: time from its end to the failure [s]; twice this time is checked too.
+        duration: of the run [s].
     """
-    if not scene.effects.own:
-        return None
-    structure, p = Structure.of(scene), parameters(scene)
-    if last is None:
-        start = 0.0 - float(as_number(structure.start_deflection(p)))
-        places = [(start if math.isfinite(start) else 0.0, v) for v in (0.0, float(as_number(scene.tow_speed)))]
-    else:
-        places = [*zip(last.travel.tolist(), last.speed.tolist(), strict=True)]
-        travel, speed = places[-1]
-        places += [(travel + float(beyond) * pause * speed, speed) for beyond in np.linspace(0.0, 2.0, 9)]
+    structure, p, speed = Structure.of(scene), parameters(scene), float(as_number(scene.tow_speed))
     for term in structure.own:
-        for travel, speed in places:
-            force = float(as_number(term.force(p, travel, speed)))
-            held = float(as_number(term.at_rest(p, travel))) if structure.sticks else 0.0
-            if not math.isfinite(force + held):
-                value, at = (held, "rest") if math.isfinite(force) else (force, f"a speed of {speed:.6g} m/s")
-                return (
-                    f"the own effect {term.kind.__name__} returns {value} N at a travel of {travel:.6g} m and at {at}:"
-                    " it must return a finite resistance wherever the share may go"
-                )
-    return None
-
-
-def _driven(scene: Scene, last: Run) -> str | None:
-    """Return a sentence if the motion ends because a resistance drives the share ever faster; else None."""
-    travel, speed, p = float(last.travel[-1]), float(last.speed[-1]), plan.numbers_of(scene)
-    others = p["static"] + abs(float(last.mount_force[-1]))
-    if abs(speed) < 0.99 * float(np.max(np.abs(last.speed))):
-        return None
-    for term in Structure.of(scene).own:
-        # A resistance against the motion has its sign; one that drives the share must exceed the spring's force too.
-        force = float(as_number(term.force(p, travel, speed)))
-        if force * speed < 0.0 and abs(force) >= others:
-            return (
-                f"the own effect {term.kind.__name__} drives the share ever faster: it returns {force:.3g} N there, at"
-                f" a travel of {travel:.3g} m and a speed of {speed:.3g} m/s: let it oppose the motion, or limit it at"
-                " high speed"
-            )
-    growing = p.get("drag", 0.0) + p["static"] * p.get("rate_term", 0.0)
-    if scene.effects.contact != "resisting" or speed >= 0.0 or growing * speed**2 <= others:
-        return None
-    return (
-        f"the share retreats there at {-speed:.3g} m/s, and under contact 'resisting' the resistance drives the share"
-        " away: it grows with the square of that speed and pushes the share back ever faster, without bound in finite"
-        " time, which real soil does not do: use contact = StickSlip(), a stiffer mount, or a shorter duration"
-    )
+        for travel in np.linspace(0.0, speed * duration, _OWN_PLACES**2):
+            at = {f"a speed of {v:.6g} m/s": term.force(p, float(travel), v) for v in (0.0, speed)}
+            at |= {"rest": term.at_rest(p, float(travel))} if structure.sticks else {}
+            for where, force in at.items():
+                if not math.isfinite(value := float(as_number(force))):
+                    return (
+                        f"the own effect {term.kind.__name__} returns {value} N at a travel of {travel:.6g} m and at"
+                        f" {where}: it must return a finite resistance wherever the share may go"
+                    )
+    return ""
 
 
 # --- refusals and warnings of finished runs ---

@@ -359,14 +359,6 @@ def quasi_static(
     return Run(scene, duration, time, path, speed, deflection, force, force, still, still, averages, accuracy)
 
 
-# Bisection for the time at which a motion fails ends at this relative interval, and at this part of the duration.
-_FAILURE_INTERVAL = 2e-4
-_EARLIEST_FAILURE = 1e-9
-# It is done with this tolerance and this limit on the steps, with which a motion without an end fails sooner.
-_COARSE_TOLERANCE = 1e-4
-_COARSE_STEPS = 10_000
-
-
 @dataclass(frozen=True)
 class Case(OfEquation):
     """A numeric scene and a duration, prepared once for all integrations of them.
@@ -448,12 +440,14 @@ def integrate(case: Case, accuracy: Accuracy, *, perturbation: float = 0.0) -> R
     if results is None:
         if scene.effects.orbit != "transient":
             raise IntegrationError(without_orbit(scene))
-        raise failed_by(scene, duration, accuracy, *_until_failure(case, solver, p))
-    run = _assembled(case, timeline, results, accuracy)
+        raise failed_by(scene, duration, accuracy)
+    run = assemble(scene, case.p, duration, timeline.output_fractions, *results, accuracy)
     if isinstance(scene.effects.contact, StickSlip):
         refuse_missed_event(run)
         refuse_weak_rest(run)
-    return run if case.output_factor == 1 else _thinned(run, case.output_factor)
+    if (every := case.output_factor) > 1:
+        run = replace(run, **{name: getattr(run, name)[::every] for name in ARRAYS})
+    return run
 
 
 def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Run, float] | None:
@@ -482,16 +476,6 @@ Results = tuple[Array, Array, Array]
 """States at the output times, a row each, means of the signals, and mean squares about them."""
 
 
-def _assembled(case: Case, timeline: Timeline, found: Results, accuracy: Accuracy) -> Run:
-    """Return the run that belongs to results of its integration."""
-    return assemble(case.scene, case.p, case.duration, timeline.output_fractions, *found, accuracy)
-
-
-def _thinned(run: Run, every: int) -> Run:
-    """Return a run with every so many of its outputs."""
-    return replace(run, **{name: getattr(run, name)[::every] for name in ARRAYS})
-
-
 # An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
 # smaller than this part of it.
 _TOO_SMALL = 0.03
@@ -509,30 +493,6 @@ def _sized(function: ca.Function, equation: Equation, p: list[float]) -> Results
     true = np.concatenate([np.abs(states[:, :2]).max(axis=0), averages, rms])
     small = (true > 0.0) & (true < _TOO_SMALL * sizes)
     return (_attempt(function, p, np.where(small, true, sizes)) or results) if small.any() else results
-
-
-def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, float]:
-    """Return the motion until shortly before the integration fails, and the time from there to the failure [s]."""
-    method: str = "rosenbrock" if case.phase > plan.STIFF_PHASE else "erk"
-    coarse = Accuracy(method, tolerance=_COARSE_TOLERANCE)
-    timeline = plan.timeline_of(case.scene, case.duration, plan.OUTPUTS, _COARSE_STEPS, method)
-    coarse_solver = integration(case.structure, coarse, timeline)
-    if _attempt(coarse_solver.function, p) is None:
-        solver = coarse_solver
-    reached, failed = 0.0, case.duration
-    last: Results | None = None
-    while failed - reached > failed * _FAILURE_INTERVAL and failed > _EARLIEST_FAILURE * case.duration:
-        middle = (reached + failed) / 2.0
-        results = _attempt(solver.function, [*p[:-1], middle])
-        if results is None:
-            failed = middle
-        else:
-            reached, last = middle, results
-    if last is None:
-        return None, failed
-    until = replace(case, duration=reached)
-    with np.errstate(all="ignore"):  # steps that are too long may give any numbers
-        return _assembled(until, solver.timeline, last, solver.accuracy), failed - reached
 
 
 def _attempt(function: ca.Function, *inputs: list[float] | Array) -> Results | None:

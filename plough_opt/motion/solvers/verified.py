@@ -7,7 +7,7 @@ from plough_opt.core.errors import IntegrationError
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.run import Run
 from plough_opt.motion.solvers import checks, plan
-from plough_opt.motion.solvers.checks import WORTH_A_WARNING, Escape, difference
+from plough_opt.motion.solvers.checks import WORTH_A_WARNING, Escape, MissedEvent, difference
 from plough_opt.motion.solvers.integrators import Case, compared, integrate
 
 _LOG = logging.getLogger(__name__)
@@ -68,6 +68,8 @@ def _refined(case: Case, wanted: float) -> tuple[Run, float]:
                 raise
             except IntegrationError as failed:
                 failure = failed
+                if setting.adaptive and not isinstance(failed, MissedEvent):  # it chose its steps itself
+                    break
             if error < least:
                 best, least = run, error
             if error <= wanted or error > 0.5 * before:  # beyond rounding, chaos or a kink finer settings do not help

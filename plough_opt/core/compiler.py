@@ -18,7 +18,6 @@ import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -216,19 +215,6 @@ def _identity(command: tuple[str, ...]) -> str:
     return "\n".join(texts)
 
 
-# CasADi's operation -> its sign or its text in C and in Python.
-BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
-COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
-_LOGICAL = {ca.OP_AND: "&", ca.OP_OR: "|"}
-SIMPLE = {
-    ca.OP_ASSIGN: "{0}",
-    ca.OP_NEG: "-{0}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "{0} + {0}",
-    ca.OP_INV: "1.0 / {0}",
-}
-
-
 def _named(names: str) -> dict[int, str]:
     """Return CasADi's operation -> C function, for functions that have the same name in both."""
     return {int(getattr(ca, f"OP_{name.upper()}")): name for name in names.split()}
@@ -239,8 +225,17 @@ def _named(names: str) -> dict[int, str]:
 LIBRARY = _named("exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf")
 LIBRARY_OF_TWO = {ca.OP_CONSTPOW: "pow"} | _named("pow atan2 hypot")
 LANE_BY_LANE = _named("floor ceil sqrt")
-# Operation -> function that `vectors.c` defines.
-_OWN = {ca.OP_FABS: "v_fabs", ca.OP_SIGN: "v_sign", ca.OP_FMIN: "v_min", ca.OP_FMAX: "v_max"}
+# CasADi's operation -> its result in C, given vectors; that of a condition is 1 where it holds, and else 0.
+_FORMS = {
+    **{code: f"v_{name}({{0}})" for code, name in (LIBRARY | LANE_BY_LANE).items()},
+    **{code: f"v_{name}({{0}}, {{1}})" for code, name in LIBRARY_OF_TWO.items()},
+    ca.OP_ASSIGN: "{0}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}", ca.OP_INV: "1.0 / {0}",
+    ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}", ca.OP_DIV: "{0} / {1}",
+    ca.OP_LT: "v_one({0} < {1})", ca.OP_LE: "v_one({0} <= {1})", ca.OP_EQ: "v_one({0} == {1})",
+    ca.OP_NE: "v_one({0} != {1})", ca.OP_NOT: "v_one({0} == 0.0)", ca.OP_AND: "v_one(({0} != 0.0) & ({1} != 0.0))",
+    ca.OP_OR: "v_one(({0} != 0.0) | ({1} != 0.0))", ca.OP_IF_ELSE_ZERO: "(V)((M)({1}) & ({0} != 0.0))",
+    ca.OP_FABS: "v_fabs({0})", ca.OP_SIGN: "v_sign({0})", ca.OP_FMIN: "v_min({0}, {1})", ca.OP_FMAX: "v_max({0}, {1})",
+}  # fmt: skip
 
 
 def variants(*flags: str) -> tuple[Variant, ...]:
@@ -267,49 +262,11 @@ def name_of(code: int) -> str:
     return next(name[3:].lower() for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == code)
 
 
-@dataclass(frozen=True)
-class _Value:
-    """A value in C: a vector of doubles, or a mask, whose bits are all 0 or all 1 in each lane.
-
-    Attributes:
-        text: its name, or the number if it is a constant.
-        once: whether it depends on the last argument alone, which is the same in every step.
-        constant: the number if it is a constant, else None.
-        is_mask: whether it is a condition.
-    """
-
-    text: str
-    once: bool = True
-    constant: float | None = None
-    is_mask: bool = False
-
-    @classmethod
-    def of(cls, constant: float) -> _Value:
-        """Return a constant."""
-        text = repr(constant).replace("inf", "INFINITY")
-        return cls(f"({text})" if constant < 0.0 else text, constant=constant)
-
-    @property
-    def number(self) -> str:
-        """Text for use as an operand of arithmetic."""
-        return f"v_one({self.text})" if self.is_mask else self.text
-
-    @property
-    def vector(self) -> str:
-        """Text for use as an argument of a vector function."""
-        return self.number if self.constant is None else f"((V){{0}} + {self.text})"
-
-    @property
-    def mask(self) -> str:
-        """Text for use as a condition."""
-        return self.text if self.is_mask else f"({self.vector} != 0.0)"
-
-
 class Statements:
     """The C statements of a Function of SX with one result, a dense column.
 
     Attributes:
-        once: statements to run once before all steps.
+        once: statements to run once before all steps: what depends on the last argument alone.
         each: statements to run in every step; the last ones assign the results.
     """
 
@@ -325,77 +282,37 @@ class Statements:
         """
         self.once: list[str] = []
         self.each: list[str] = []
-        self._inverses: dict[str, _Value] = {}
-        work: dict[int, _Value] = {}
+        self._inverses: dict[str, tuple[str, bool]] = {}
+        work: dict[int, tuple[str, bool]] = {}  # place -> name, and whether it is the same in every step
         results = []
         for code, into, of, constant in instructions(function):
             if code == ca.OP_INPUT:
-                work[into[0]] = _Value(f"{arrays[of[0]]}[{of[1]}]", once=of[0] == function.n_in() - 1)
+                work[into[0]] = f"{arrays[of[0]]}[{of[1]}]", of[0] == function.n_in() - 1
             elif code == ca.OP_CONST:
-                work[into[0]] = _Value.of(constant)
+                work[into[0]] = f"((V){{0}} + ({constant!r}))".replace("inf", "INFINITY"), True
             elif code == ca.OP_OUTPUT:
-                results.append(f"y[{into[1]}] = (V){{0}} + {work[of[0]].number};")
+                results.append(f"y[{into[1]}] = (V){{0}} + {work[of[0]][0]};")
             else:
                 work[into[0]] = self._apply(code, [work[j] for j in of])
         self.each += results
 
-    def _apply(self, code: int, of: list[_Value]) -> _Value:
+    def _apply(self, code: int, of: list[tuple[str, bool]]) -> tuple[str, bool]:
         """Add the statement of an operation and return its result.
 
         A division by a value that is the same in every step becomes a product with the inverse, computed once.
         """
-        if code == ca.OP_DIV and of[1].once and not of[0].once:
-            code, of = ca.OP_MUL, [of[0], self._inverse(of[1])]
-        is_mask = _is_mask(code)
-        name = f"a{len(self.once) + len(self.each)}"
-        value = _Value(name, all(each.once for each in of), is_mask=is_mask)
-        lines = self.once if value.once else self.each
-        lines.append(f"const {'M' if is_mask else 'V'} {name} = {_expression(code, of)};")
-        return value
-
-    def _inverse(self, of: _Value) -> _Value:
-        if of.text not in self._inverses:
-            self._inverses[of.text] = (
-                self._apply(ca.OP_INV, [of]) if of.constant is None else _Value.of(1.0 / of.constant)
-            )
-        return self._inverses[of.text]
+        if code == ca.OP_DIV and of[1][1] and not of[0][1]:
+            if of[1][0] not in self._inverses:
+                self._inverses[of[1][0]] = self._apply(ca.OP_INV, [of[1]])
+            code, of = ca.OP_MUL, [of[0], self._inverses[of[1][0]]]
+        if code not in _FORMS:
+            raise InputError(f"a batch cannot evaluate the operation '{name_of(code)}': simulate each design")
+        name, once = f"a{len(self.once) + len(self.each)}", all(same for _, same in of)
+        (self.once if once else self.each).append(f"const V {name} = {_FORMS[code].format(*(x for x, _ in of))};")
+        return name, once
 
 
 def operations(*operands: str) -> Iterator[tuple[int, str]]:
     """Yield the code of each operation that has a vector form, and its result in C, given two vectors in C."""
-    one = {*SIMPLE, *LIBRARY, *LANE_BY_LANE, ca.OP_FABS, ca.OP_SIGN, ca.OP_NOT}
-    two = {*BINARY, *COMPARISONS, *_LOGICAL, *LIBRARY_OF_TWO, ca.OP_FMIN, ca.OP_FMAX, ca.OP_IF_ELSE_ZERO}
-    for code in sorted(one | two):
-        of = [_Value(operand) for operand in operands[: 1 if code in one else 2]]
-        yield code, _Value(_expression(code, of), is_mask=_is_mask(code)).number
-
-
-def _is_mask(code: int) -> bool:
-    return code in COMPARISONS or code in _LOGICAL or code == ca.OP_NOT
-
-
-def _expression(code: int, of: list[_Value]) -> str:
-    """Return an operation in C.
-
-    Raises:
-        InputError: the operation has no vector form.
-    """
-    if code in BINARY:
-        return f"{of[0].vector} {BINARY[code]} {of[1].number}"
-    if code in SIMPLE:
-        return SIMPLE[code].format(of[0].vector)
-    if code in (ca.OP_EQ, ca.OP_NE) and all(each.is_mask for each in of):
-        both = f"{of[0].text} ^ {of[1].text}"
-        return both if code == ca.OP_NE else f"~({both})"
-    if code in COMPARISONS:
-        return f"{of[0].vector} {COMPARISONS[code]} {of[1].vector}"
-    if code in _LOGICAL:
-        return f"{of[0].mask} {_LOGICAL[code]} {of[1].mask}"
-    if code == ca.OP_NOT:
-        return f"~{of[0].mask}"
-    if code == ca.OP_IF_ELSE_ZERO:
-        return f"(V)((M){of[1].vector} & {of[0].mask})"
-    functions = LIBRARY | LIBRARY_OF_TWO | LANE_BY_LANE
-    if code not in _OWN and code not in functions:
-        raise InputError(f"a batch cannot evaluate the operation '{name_of(code)}': use po.simulate for each design")
-    return f"{_OWN.get(code) or f'v_{functions[code]}'}({', '.join(each.vector for each in of)})"
+    for code in sorted(_FORMS):
+        yield code, _FORMS[code].format(*operands)

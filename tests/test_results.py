@@ -6,7 +6,7 @@ import math
 import platform
 import re
 import shutil
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 
 import casadi as ca
@@ -21,8 +21,6 @@ from helpers.strict_json import strict
 import plough_opt as po
 from plough_opt.app.plots import plot_designs
 from plough_opt.core.expressions import exp
-from plough_opt.studies.calibration.fit import HeldOut
-from plough_opt.studies.uncertainty import robust
 
 pandas = pytest.importorskip("pandas")
 
@@ -137,27 +135,6 @@ def test_designs_are_drawn_between_their_limits():
     assert drawn == [1, 2, 2, 2]
 
 
-def squared(point):
-    if point["a"] == 2.0 and point["b"] == 10.0:
-        raise ValueError("too much")
-    return {"force": 1e3 * point["a"] ** 2 + point["b"]}
-
-
-def test_a_sweep_prints_draws_and_gives_its_points(inline, tmp_path):
-    over = {"a": [1.0, 2.0, 3.0], "b": [0.0, 10.0]}
-    swept = po.sweep(squared, over, executor=inline, units={"force": "N"})
-    text, frame, saved = str(swept), swept.to_dataframe(), strict(swept.to_json())
-    assert 'src="data:image/png;base64,' in swept._repr_html_()
-    assert swept.plot(tmp_path / "picture.svg").axes
-    assert "6 points, 1 failed" in text
-    assert re.search(r"force +1 kN +a 1 +9\.01 kN +a 3\n +b 0 +b 10", text)
-    assert "failed at a 2, b 10: ValueError: too much" in text
-    least, failure = {"force": 1000.0, "point": 0, "a": 1.0, "b": 0.0}, "ValueError: too much"
-    assert (saved["schema"], saved["results"]["force"]["least"], saved["failed"]) == (1, least, {"3": failure})
-    np.testing.assert_array_equal(frame["force"], [1000.0, 1010.0, 4000.0, math.nan, 9000.0, 9010.0])
-    assert frame.attrs["units"] == {"force": "N"}
-
-
 def test_designs_in_python_keep_their_declarations(tmp_path):
     origin = po.load(optimum().save(tmp_path / "best.json")).origin
     declared = origin.declarations
@@ -265,23 +242,6 @@ def refused(path, words):
 def test_folders_and_missing_files_are_refused(tmp_path):
     refused(tmp_path, "is a folder")
     refused(tmp_path / "nothing.json", "there is no file")
-
-
-HOLDERS = (
-    po.Measurements, HeldOut, robust.Verification,
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", HOLDERS)
-def test_results_that_hold_arrays_can_be_compared(kind):
-    def made(*values):
-        one = object.__new__(kind)
-        for each in fields(kind):
-            object.__setattr__(one, each.name, {"a": np.array(values)} if each.name == "values" else np.array(values))
-        return one
-
-    one, same, other = made(1.0, np.nan), made(1.0, np.nan), made(1.0, 2.0)
-    assert (one == same, one == other, one == "text", hash(one) == hash(same)) == (True, False, False, True)
 
 
 # --- saved results: their origin, shown as they were printed, compared ---

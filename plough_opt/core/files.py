@@ -7,7 +7,7 @@ import os
 import secrets
 import stat
 import tempfile
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
 from importlib import import_module
 from importlib.resources import files as beside
@@ -285,12 +285,6 @@ def line_style(number: int) -> dict[str, Any]:
 def scale_of(values: Collection[float]) -> Literal["log", "linear"]:
     """Return the scale of an axis, or of colours, that shows values."""
     return "log" if 0.0 < _LOG_AXIS_RATIO * min(values) < max(values) else "linear"
-
-
-def shared_legend(target: Axes | Figure, panels: Sequence[Axes], **where: Any) -> None:
-    """Add one legend for everything that panels show, each label once."""
-    shown = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    target.legend([*shown.values()], [*shown], fontsize="small", **where)
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:

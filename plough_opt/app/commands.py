@@ -38,8 +38,8 @@ from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene, quantities_of
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem, template
+from plough_opt.problem_file.ranges import with_unit
 from plough_opt.problem_file.schema import file_schema
-from plough_opt.problem_file.source import with_unit
 from plough_opt.soil.soil import named_soil, soil_names
 
 if TYPE_CHECKING:

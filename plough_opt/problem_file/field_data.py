@@ -17,8 +17,9 @@ from plough_opt.core.tables import check_rising, columns_of, raise_listed, readi
 from plough_opt.core.units import Unit
 from plough_opt.motion.effects import SpeedProfile
 from plough_opt.motion.effects.profile import profile_of
+from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.schema import RANDOM
-from plough_opt.problem_file.source import Source, read_axis
+from plough_opt.problem_file.source import Source
 from plough_opt.soil.strength import Spectrum, StrengthRecord, strength_spectrum
 from plough_opt.studies.sweep.points import Range
 

@@ -27,8 +27,8 @@ from plough_opt.motion.run import Averages
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.problem import Problem
+from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.reading import check_changed
-from plough_opt.problem_file.source import read_axis
 from plough_opt.studies.sweep import engine
 from plough_opt.studies.sweep.engine import Answer, Progress
 from plough_opt.studies.sweep.points import Axis, axis_of, points_of

@@ -11,7 +11,7 @@ from helpers.refusals import refusals
 import plough_opt as po
 from plough_opt.core.units import Unit
 from plough_opt.motion.vocabulary import MEASURES, Measure
-from plough_opt.problem_file.source import read_axis
+from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.sweep import ProblemSweep
 from plough_opt.studies.sweep import engine
 

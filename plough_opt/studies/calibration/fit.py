@@ -364,17 +364,12 @@ class Source:
         # There is no error where undetermined directions change a prediction by a notable part of its deviation.
         errors = np.where(elsewhere > 0.1 * deviation, np.inf, within)
         numbers = np.column_stack([observed, fit.predicted, deviation, errors, fit.predicted - observed]).tolist()
-        measured = [(rows.measured, k) for rows in self.sets for k in range(len(rows.measured.values))]
-        return tuple(
-            Row(
-                m.row(k),
-                m.result,
-                m.unit.symbol,
-                m.at(k) | ({} if m.time is None else {"time": float(m.time[k])}),
-                *own,
-            )
-            for (m, k), own in zip(measured, numbers, strict=True)
-        )
+        rows: list[Row] = []
+        for m in (own.measured for own in self.sets):
+            for k in range(len(m.values)):
+                places = m.at(k) | ({} if m.time is None else {"time": float(m.time[k])})
+                rows.append(Row(m.row(k), m.result, m.unit.symbol, places, *numbers[len(rows)]))
+        return tuple(rows)
 
     def without(self, part: float, by: str | None, seed: int) -> tuple[Solution, list[Row]]:
         """Return the fit to a part of the rows, and what it predicts of the others.
@@ -414,10 +409,7 @@ class Source:
             return [order[k : k + 1] for k in range(len(order))]
         check_named("{} is not a column of the data", by, dict.fromkeys(key for m in measured for key in m.conditions))
         values = np.concatenate([m.conditions.get(by, np.full(len(m.values), np.nan)) for m in measured])[order]
-        distinct = np.unique(values[np.isfinite(values)])
-        if len(distinct) < 2:
-            raise InputError(f"'{by}' has one value in all rows: hold out by a column that varies, or by rows")
-        return [order[values == value] for value in distinct]
+        return [order[values == value] for value in np.unique(values[np.isfinite(values)])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -452,15 +444,15 @@ class HeldOut(ByValue):
     @property
     def rms(self) -> dict[str, float]:
         """Result -> root mean square of its errors."""
-        results = dict.fromkeys(row.result for row in self.rows)
-        errors = {name: [row.residual for row in self.rows if row.result == name] for name in results}
+        errors: dict[str, list[float]] = {}
+        for row in self.rows:
+            errors.setdefault(row.result, []).append(row.residual)
         return {name: float(np.sqrt(np.mean(np.square(own)))) for name, own in errors.items()}
 
     def plain(self) -> dict[str, Any]:
         """Return the predictions as plain values for JSON, SI; infinite half widths as "Infinity"."""
-        more = {"rms": self.rms, "inside": self.coverage[0], "finite": self.coverage[1]}
         plain: dict[str, Any] = to_plain(replace(self, origin=Origin()), HeldOut)
-        return plain | more
+        return plain | {"rms": self.rms, "inside": self.coverage[0], "finite": self.coverage[1]}
 
     def words(self) -> str:
         """Return errors and coverage in a sentence."""
@@ -470,12 +462,11 @@ class HeldOut(ByValue):
             mean = float(np.mean([abs(row.observed) for row in like]))
             size = self.origin.display(name, like[0].unit, mean).text(rms, 3)
             errors.append(f"{name} {size} ({100.0 * rms / mean:.3g} % of its mean)" if mean else f"{name} {size}")
-        inside, finite = self.coverage
+        (inside, finite), count = self.coverage, len(self.rows)
+        sizes = f"Fitted to {self.fitted} rows, RMS error of {count} others: {'; '.join(errors)}"
         hits = f"{inside} of {finite} lie in their {100 * self.level:g} % prediction intervals"
-        more = len(self.rows) - finite
-        open_ended = f"; {more} more depend on what the fitted rows do not determine" if more else ""
-        sizes = f"Fitted to {self.fitted} rows, RMS error of {len(self.rows)} others: {'; '.join(errors)}"
-        return f"{sizes}; {hits}{open_ended}."
+        more = f"; {count - finite} more depend on what the fitted rows do not determine" if finite < count else ""
+        return f"{sizes}; {hits}{more}."
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw measured over predicted values of the rows held out, with the errors of both.
@@ -484,12 +475,9 @@ class HeldOut(ByValue):
             target: file to write (.png, .svg, .pdf), or None.
 
         Raises:
-            InputError: the fitted rows determine no prediction, or the file cannot be written.
+            InputError: the file cannot be written.
         """
-        rows = [row for row in self.rows if math.isfinite(row.standard_error)]
-        if not rows:
-            raise InputError("the fitted rows determine none of the rows held out: hold out a smaller part")
-        return written(drawn(f"{self.title}\nrows held out of the fit", rows, self.origin), target)
+        return written(drawn(f"{self.title}\nrows held out of the fit", self.rows, self.origin), target)
 
 
 def drawn(title: str, rows: Sequence[Row], origin: Origin) -> Figure:

@@ -1,6 +1,5 @@
 """A scene as one CasADi Function: its values, derivatives and error, every kind of scene, and invalid ones."""
 
-import copy
 import dataclasses
 import json
 import pickle
@@ -86,13 +85,6 @@ def test_first_and_second_derivatives_of_a_motion_are_those_of_differences(r1):
     found = curvatures(at).full().reshape(3, 5, 3).transpose(1, 0, 2) * at / size[:, :, None] * at[:, None]
     second = differences(slopes, one, 2e-3).reshape(5, 3, 3)
     assert found == pytest.approx(second, rel=1e-9, abs=1e-9 * np.abs(second).max())
-
-
-def test_a_component_is_a_casadi_function(r1):
-    assert isinstance(r1, ca.Function)
-    assert ca.Function(r1).call(START) == r1.call(START)
-    copied = copy.deepcopy([r1, copy.copy(r1)])[1]
-    assert (copied(*START), copied.inputs, copied.warnings) == (r1(*START), r1.inputs, r1.warnings)
 
 
 def test_a_pickle_gives_the_same_numbers_in_another_process(r1, tmp_path):
@@ -315,13 +307,11 @@ def _stiffness(lower, upper):
 INVALID = [
     ({"contact": po.StickSlip()}, {}, "stick and slip cannot be a component: its events"),
     ({"entry": True, "start": "rest"}, {}, "enters the soil cannot be a component"),
-    ({}, {"outputs": ["mean_drft"]}, "did you mean 'mean_draft'"),
     ({}, {"outputs": ["peak_force"]}, "use 'mount_force'"),
     ({}, {"inputs": ["effects.damping"]}, "the scene has no 'effects.damping'"),
     ({}, {"duration": None}, "the duration is missing"),
     ({}, {"inputs": ["scene.frame_mass"]}, "needs a steel_density"),
     ({}, {"inputs": ["scene.mass"], "steel_density": 7850.0}, "follows from steel_density"),
-    ({}, {"steel_density": 78500.0}, "more than the whole moving mass of 23.1724 kg"),
     ({}, {"inputs": ["scene.stiffness", "scene.stiffness"]}, "twice"),
     ({}, {"outputs": [OWN]}, "'scene.stiffness' and 'scene_stiffness' clash"),
     ({}, {"inputs": [po.Input("2k")]}, "'2k' must be a name that begins with a letter"),
@@ -329,9 +319,7 @@ INVALID = [
     ({"own": (Shank(per_metre=-1e8),)}, {}, "the motion has no finite value at scene.stiffness = 50000 N/m"),
     ({"height": FREE}, {"inputs": [HEIGHT], "steel_density": 7850.0}, "needs a numeric scene"),
     ({}, {"inputs": [po.Input("k", 1.0, 2.0, symbol=2 * FREE)]}, "must be a scalar CasADi symbol"),
-    ({}, {"inputs": [FREE]}, "input = MX(k) must be a name, or po.Input(name, ...)"),
     ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
-    ({}, {"inputs": []}, "name at least one"),
     ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' has no fixed steps, as a component needs"),
     ({"orbit": "periodic", "strength_wave": WAVE}, {}, "omit the duration"),
     ({}, {"inputs": [ALONE]}, "does not hold the symbol of input 'k'"),
@@ -342,12 +330,10 @@ INVALID = [
     ({}, _stiffness(6e4, 5e4), "lower 60000 is not below upper 50000"),
     ({}, _stiffness(6e4, 7e4), "= 50000 lies outside its bounds 60000 to 70000"),
     ({}, _stiffness(-1.0, 7e4), "at scene.stiffness = -1 N/m: stiffness = -1 N/m must be above 0"),
-    ({}, _stiffness(-1.0, 7e4) | {"accuracy": po.Accuracy("dop853", steps=100)}, "must be above 0"),
     ({}, _stiffness(1.0, 1e14), "so fast that the run would take"),
     ({}, _stiffness(1.0, np.inf), "upper of 'scene.stiffness' = inf N/m must be finite"),
     ({}, {"inputs": [po.Input("share.wedge_angle", 0.1, 1.0), po.Input("soil.density_ratio", 0.5, 1.5)]},
      "at share.wedge_angle = 0.1 rad, soil.density_ratio = 1.5: density ratio b1"),
-    ({"strength_wave": po.StrengthWave(0.0, 0.6)}, {"inputs": ["effects.strength_wave.amplitude"]}, "give bounds"),
 ]  # fmt: skip
 
 
@@ -356,15 +342,6 @@ def test_an_invalid_component_is_refused_with_the_reason(r1_scene, effects, requ
     requested = {"duration": 1.0, "inputs": ["scene.stiffness"], "outputs": ["mean_draft"]} | requested
     with pytest.raises((po.InputError, po.DomainError), match=re.escape(words)):
         po.component(r1_scene(**effects), **requested)
-
-
-def test_default_bounds_are_within_the_domain(r1_scene):
-    scene = r1_scene(strength_wave=po.StrengthWave(1.0, 0.6))
-    names = ["soil.density_ratio", "share.wedge_angle", "scene.stiffness"]
-    made = po.component(scene, 1.0, inputs=names, outputs=["mean_draft"])
-    assert [(port.lower, port.upper) for port in made.inputs] == [
-        (0.4, 0.9), (po.deg(12.5), pytest.approx(po.deg(50), rel=1e-15)), (2.5e4, 1e5),
-    ]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

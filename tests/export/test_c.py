@@ -117,13 +117,6 @@ def test_a_result_that_is_not_finite_gives_a_status(not_always_finite, tmp_path)
     assert [_called(share.share_evaluate, [height], 1)[0] for height in (0.26, 0.24)] == [0, 3]
 
 
-def test_a_quasi_static_scene_is_written_as_c(r1_scene, r1_wave, tmp_path):
-    scene = r1_scene(motion=False, strength_wave=r1_wave)
-    made = po.component(scene, 2.0, inputs=["share.height"], outputs=["mean_draft", "force_rms"], name="main")
-    done = _compiled(write_c(made, tmp_path / "main"), "main", "-O0", "-ffp-contract=off")
-    assert done.returncode == 0, done.stdout
-
-
 def test_invalid_exports_are_refused_and_write_nothing(around_r1, r1_scene, r1_wave, tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(po.InputError, match="cannot be written"):

@@ -6,7 +6,6 @@ import math
 import re
 import subprocess
 import zipfile
-from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,7 +17,6 @@ from helpers.differences import differences
 from helpers.extras import needs
 from helpers.linear_motion import released
 from helpers.scenes import Shank, scene_of
-from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
@@ -30,14 +28,12 @@ FMICallException = needs("fmpy.fmi1").FMICallException
 FMU3Model = needs("fmpy.fmi3").FMU3Model
 validate_fmu = needs("fmpy.validation").validate_fmu
 
-# --- FMPy and SciPy as tools that import and simulate FMUs ---
+# --- FMPy as a tool that imports and simulates FMUs ---
 
 # FMPy's CVode holds the absolute error to the relative tolerance times the nominal values. Of its relative tolerance of
 # 1e-11 some hundred steps of order 5 leave a few 1e-8.
 TOLERANCE = 1e-11
 WITHIN = 1e-7
-# SciPy's DOP853 at 1e-12 leaves a few 1e-11, and as much again where an event is handled 1e-12 s late.
-CLOSELY = 1e-9
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 ARRAYS = ("travel", "speed", "deflection", "mount_force", "soil_resistance")
 SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
@@ -68,54 +64,6 @@ def worst(found, run):
     return max(float(error / size) if error else 0.0 for error, size in pairs)
 
 
-def stepped(path, times, names, beside=0.0):
-    """Return an FMU's variables at some times and its number of events, handled with a delay ``beside``.
-
-    SciPy integrates it, like a tool that sets time and states and locates events itself.
-    """
-    fmu, references = instance_of(path)
-    fmu.enterInitializationMode()
-    fmu.exitInitializationMode()
-    n, indicators = fmu.getNumberOfContinuousStates(), fmu.getNumberOfEventIndicators()
-
-    def vector(get, size=n):
-        values = np.zeros(size)
-        get(values.ctypes.data_as(DOUBLES), size)
-        return values
-
-    def put(time, states):
-        fmu.setTime(time)
-        fmu.setContinuousStates(np.ascontiguousarray(states).ctypes.data_as(DOUBLES), n)
-
-    def rates(time, states):
-        put(time, states)
-        return vector(fmu.getContinuousStateDerivatives)
-
-    def indicator(k, time, states):
-        put(time, states)
-        return vector(fmu.getEventIndicators, indicators)[k]
-
-    crossings = [partial(indicator, k) for k in range(indicators)]
-    for crossing in crossings:
-        crossing.terminal, crossing.direction = True, -1.0
-    settings = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15, "events": crossings, "dense_output": True}
-    now, values, events = 0.0, [], -1
-    while now < times[-1]:
-        events += 1
-        fmu.updateDiscreteStates()
-        fmu.enterContinuousTimeMode()
-        found = solve_ivp(rates, (now, times[-1]), vector(fmu.getContinuousStates), **settings)
-        end = found.t[-1]
-        for time in times[(times >= now) & ((times < end) | (end >= times[-1]))]:
-            put(time, found.sol(time))
-            values.append(fmu.getFloat64([references[name] for name in names]))
-        now = end + beside * (found.status == 1)
-        put(now, found.sol(now))
-        fmu.enterEventMode()
-    fmu.freeInstance()
-    return dict(zip(names, np.array(values).T, strict=True)), events
-
-
 # --- FMUs, simulated by FMPy: valid, with the motion of `po.simulate` ---
 
 DURATION = 1.2
@@ -139,43 +87,30 @@ MORE_CASES = {
     "entry with retreat": {"entry": True, "start": "rest", "strength_wave": WAVE},
     "one printed error": {"formulation": po.Printed(repelling_spring=False), "strength_wave": CALM},
 }
-EDGES = {
-    "a strut that stands still": ({}, {"tow_speed": 0.0}),
-    "a cone": ({"start": "towed"}, {"share": po.Cone(po.deg(12.0), 0.3)}),
-    "no strength": ({}, {"soil": STRENGTHLESS}),
-    "no strength, stick and slip": ({"start": "rest", "contact": po.StickSlip()}, {"soil": STRENGTHLESS}),
-}
 
 
 SIMULATED = [
     *(pytest.param(effects, {}, id=name) for name, effects in CASES.items()),
     *(pytest.param(effects, {}, id=name, marks=pytest.mark.slow) for name, effects in MORE_CASES.items()),
-    *(pytest.param(*changed, id=name, marks=pytest.mark.slow) for name, changed in EDGES.items()),
+    pytest.param({}, {"tow_speed": 0.0}, id="a strut that stands still", marks=pytest.mark.slow),
+    pytest.param({"start": "towed"}, {"share": po.Cone(po.deg(12.0), 0.3)}, id="a cone", marks=pytest.mark.slow),
+    pytest.param({"contact": po.StickSlip()}, {"soil": STRENGTHLESS}, id="no strength", marks=pytest.mark.slow),
 ]
 
 
 @pytest.mark.parametrize(("effects", "changes"), SIMULATED)
 def test_simulates_to_the_same_motion(effects, changes, tmp_path):
     scene = fmu_scene(**effects, **changes)
-    effects = scene.effects
     fmu = write_fmu(scene, tmp_path / "share.fmu")
     assert validate_fmu(str(fmu)) == []
     run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
-    sticks = isinstance(effects.contact, po.StickSlip)
+    sticks = isinstance(scene.effects.contact, po.StickSlip) and not changes
     found = simulated(fmu, DURATION, output=[*ARRAYS, *(("mode", "opening") if sticks else ())])
     assert worst(found, run) <= WITHIN
-    if changes:
-        return
     if sticks:
         assert np.array_equal(found["mode"], run.mode)
         assert np.max(np.abs(found["opening"] - run.opening)) < WITHIN * np.max(run.travel)
         assert len(np.unique(run.mode)) > 1
-    enters = sticks and effects.entry
-    for beside in (0.0, -1e-12, 1e-12) if enters else (0.0,):
-        found, events = stepped(fmu, run.time, ARRAYS, beside)
-        assert worst(found, run) < CLOSELY
-        # Breaking away, wholly buried, and then once at least for each wavelength: stop, gap or recapture.
-        assert events > 8 or not enters
 
 
 def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil, tmp_path):
@@ -336,15 +271,6 @@ def test_every_variable_is_described_and_every_quantity_has_its_unit(fmu):
     assert limits["soil.density_ratio"] == ("0.0", "1.0")
     assert limits["scene.stiffness"] == ("0.0", None)
     assert float(limits["share.wedge_angle"][1]) == np.pi / 2
-
-
-def test_effects_that_are_off_add_no_variables(tmp_path):
-    bare = fmu_scene(inertial_drag=False, added_mass=False, ambient_pressure=False, tow_ramp=0.0)
-    written = write_fmu(bare, tmp_path / "bare.fmu", binary=False)
-    names = {variable.name for variable in fmpy.read_model_description(str(written)).modelVariables}
-    assert not [name for name in names if name.startswith(("effects.", "event_indicator", "mode"))]
-    assert not names & {"soil.density", "soil.ambient_pressure", "share.drag_coefficient", "share.added_mass"}
-    assert len(names) == 24
 
 
 def test_derivatives_are_those_of_the_values(instance):
@@ -511,14 +437,6 @@ def test_a_density_profile_has_no_derivatives(tmp_path):
     run = po.simulate(fmu_scene(**effects, soil=wider), 0.6, accuracy=po.Accuracy(error=1e-10), outputs=200)
     found = simulated(written, 0.6, start_values={"soil.density_profile.parameters[1]": 0.3})
     assert worst(found, run) < WITHIN
-
-
-def test_the_same_scene_gives_the_same_file(scene, tmp_path):
-    first, second = (write_fmu(scene, tmp_path / name, binary=False) for name in ("first.fmu", "second.fmu"))
-    assert first.read_bytes() == second.read_bytes()
-    other = write_fmu(fmu_scene(**EFFECTS), second, binary=False)
-    tokens = {fmpy.read_model_description(str(path)).instantiationToken for path in (first, other)}
-    assert len(tokens) == 2
 
 
 BAD_EXPORTS = [

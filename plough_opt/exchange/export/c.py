@@ -2,7 +2,7 @@
 
 import json
 import tempfile
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -55,93 +55,47 @@ def write_c(component: Component, path: str | Path) -> Path:
         >>> path.name
         'share'
     """
-    target = check_new_folder(path, "C source")
-    name, functions = component.name(), _functions(component)
-    contents = {
-        f"{name}.h": _header(component),
-        f"{name}.c": _source(component, functions),
-        f"{name}_test.c": _test(component, functions),
-        "Makefile": _MAKEFILE.replace("NAME", name),
-    }
-    return write_folder(target, "C source", contents)
+    target, name, values = check_new_folder(path, "C source"), component.name(), _values(component)
+    templates = {f"{name}.h": "component.h", f"{name}.c": "component.c", f"{name}_test.c": "component_test.c"}
+    files = {file: Template(text_of(__package__, one)).substitute(values) for file, one in templates.items()}
+    return write_folder(target, "C source", {**files, "Makefile": _MAKEFILE.replace("NAME", name)})
 
 
-def _header(component: Component) -> str:
-    """Return the header: inputs, outputs and two functions."""
-    name, upper = component.name(), component.name().upper()
-    comment = "\n".join(f" * {line}".rstrip() for line in str(component).replace("*/", "* /").splitlines())
-    sizes = {"inputs": len(component.inputs), "outputs": sum(port.size for port in component.outputs)}
-    return _filled("component.h", name=name, upper=upper, comment=comment, version=version("plough_opt"), **sizes)
-
-
-def _filled(template: str, **values: Any) -> str:
-    """Return one of the C files beside this one with values in the places of their names."""
-    return Template(text_of(__package__, template)).substitute(values)
-
-
-def _functions(component: Component) -> dict[str, ca.Function]:
-    """Return Functions from one column of all inputs to all outputs, and to their Jacobian.
-
-    The Jacobian is transposed because CasADi stores matrices by columns, and the header promises rows.
-    """
-    name, x = component.name(), ca.MX.sym("x", len(component.inputs))
-    inputs = ca.vertsplit(x)
-    return {
-        "evaluate": ca.Function(f"{name}_values", [x], [ca.vertcat(*component.call(inputs))]),
-        "jacobian": ca.Function(f"{name}_slopes", [x], [component.slopes(*inputs).T]),
-    }
-
-
-def _source(component: Component, functions: Mapping[str, ca.Function]) -> str:
-    """Return CasADi's code of the Functions, with the tables and the two functions that the header declares."""
-    name, values, slopes = component.name(), functions["evaluate"], functions["jacobian"]
-    outputs = [(port, k) for port in component.outputs for k in range(port.size)]
-    tables = [
-        _strings(f"{name}_input_names", (port.name for port in component.inputs)),
-        _strings(f"{name}_input_units", (port.unit for port in component.inputs)),
-        _doubles(f"{name}_input_lower", [port.lower for port in component.inputs]),
-        _doubles(f"{name}_input_upper", [port.upper for port in component.inputs]),
-        _doubles(f"{name}_input_values", [port.value for port in component.inputs]),
-        _strings(f"{name}_output_names", (f"{port.name}[{k}]" if port.size > 1 else port.name for port, k in outputs)),
-        _strings(f"{name}_output_units", (port.unit for port, _ in outputs)),
-    ]
-    sizes = {size: max(getattr(one, f"sz_{size}")() for one in (values, slopes)) + 1 for size in ("arg", "res", "iw")}
-    return _filled(
-        "component.c", name=name, graph=_casadi_code(name, functions.values()), tables="\n".join(tables),
-        inputs=len(component.inputs), beyond=float(RELAXATION).hex(), **sizes,
-        work_values=values.sz_w() + 1, count_values=values.numel_out(0),
-        work_slopes=slopes.sz_w() + 1, count_slopes=slopes.numel_out(0),
-    )  # fmt: skip
-
-
-def _casadi_code(name: str, functions: Collection[ca.Function]) -> str:
-    """Return the C code that CasADi generates for Functions.
+def _values(component: Component) -> dict[str, Any]:
+    """Return what stands in the C files in place of names: sizes, CasADi's code, tables, and points with results.
 
     Raises:
-        InputError: the Functions contain a root finder, for which CasADi generates no C.
+        InputError: the component contains a root finder, for which CasADi generates no C.
     """
-    if any(inner.class_name() == "Newton" for function in functions for inner in function.find_functions()):
+    name, inputs, x = component.name(), component.inputs, ca.MX.sym("x", len(component.inputs))
+    values = ca.Function(f"{name}_values", [x], [ca.vertcat(*component.call(ca.vertsplit(x)))])
+    # Transposed because CasADi stores matrices by columns, and the header promises rows.
+    slopes = ca.Function(f"{name}_slopes", [x], [component.slopes(*ca.vertsplit(x)).T])
+    if any(inner.class_name() == "Newton" for function in (values, slopes) for inner in function.find_functions()):
         raise InputError("CasADi writes no periodic orbit as C: export to casadi")
-    return code_of(f"{name}_graph", functions)
-
-
-def _test(component: Component, functions: Mapping[str, ca.Function]) -> str:
-    """Return a C program that compares values and derivatives with those that Python computes now."""
-    corners = corner_points(component.inputs)[:_MOST_CORNERS]
-    points = [*interior_points(component.inputs)[:_TEST_POINTS], *corners]
-    rows = {verb: _rows(function(x).full().ravel(order="F") for x in points) for verb, function in functions.items()}
-    name = component.name()
-    made = {"name": name, "upper": name.upper(), "count": len(points), "points": _rows(points), "most": MOST_ULP}
-    return _filled("component_test.c", **made, **rows)
-
-
-def _strings(name: str, values: Iterable[str]) -> str:
-    quoted = ",\n  ".join(json.dumps(value, ensure_ascii=False) for value in values)
-    return f"const char *const {name}[] = {{\n  {quoted}\n}};"
-
-
-def _doubles(name: str, values: Iterable[float]) -> str:
-    return f"const double {name}[] = {{{_row(values)}}};"
+    outputs = [(port, k) for port in component.outputs for k in range(port.size)]
+    texts = {
+        "input_names": [port.name for port in inputs],
+        "input_units": [port.unit for port in inputs],
+        "output_names": [f"{port.name}[{k}]" if port.size > 1 else port.name for port, k in outputs],
+        "output_units": [port.unit for port, _ in outputs],
+    }
+    quoted = {key: ",\n  ".join(json.dumps(one, ensure_ascii=False) for one in own) for key, own in texts.items()}
+    tables = [f"const char *const {name}_{key}[] = {{\n  {own}\n}};" for key, own in quoted.items()]
+    for key, side in (("lower", "lower"), ("upper", "upper"), ("values", "value")):
+        tables.append(f"const double {name}_input_{key}[] = {{{_row(getattr(port, side) for port in inputs)}}};")
+    points = [*interior_points(inputs)[:_TEST_POINTS], *corner_points(inputs)[:_MOST_CORNERS]]
+    comment = "\n".join(f" * {line}".rstrip() for line in str(component).replace("*/", "* /").splitlines())
+    sizes = {size: max(getattr(one, f"sz_{size}")() for one in (values, slopes)) + 1 for size in ("arg", "res", "iw")}
+    results = {"evaluate": _rows(values(x).full().ravel() for x in points),
+               "jacobian": _rows(slopes(x).full().ravel(order="F") for x in points)}  # fmt: skip
+    return {
+        "name": name, "upper": name.upper(), "version": version("plough_opt"), "comment": comment,
+        "inputs": len(inputs), "outputs": len(outputs), "beyond": float(RELAXATION).hex(), "tables": "\n".join(tables),
+        "graph": code_of(f"{name}_graph", [values, slopes]), "count": len(points), "points": _rows(points),
+        "work_values": values.sz_w() + 1, "count_values": values.numel_out(0), "most": MOST_ULP,
+        "work_slopes": slopes.sz_w() + 1, "count_slopes": slopes.numel_out(0), **sizes, **results,
+    }  # fmt: skip
 
 
 def _row(values: Iterable[float]) -> str:

@@ -143,7 +143,7 @@ def _before(
     numbers = there.table["point"]
     if there.names != names:
         other = f"over {', '.join(there.names)} and not {', '.join(names)}"
-    elif not np.isin(numbers, np.arange(len(points))).all() or any(
+    elif not 0 <= numbers.min(initial=0) <= numbers.max(initial=0) < len(points) or any(
         (there.table[name] != points[numbers, k]).any() for k, name in enumerate(names)
     ):
         other = f"with other values of {', '.join(names)}"

@@ -17,12 +17,20 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import DomainError
 from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.model.optimality import Zero, decides, free_directions, lagrangian, reduced_curvatures, symmetric
+from plough_opt.design.model.optimality import (
+    Zero,
+    decides,
+    difference_quotients,
+    free_directions,
+    lagrangian,
+    reduced_curvatures,
+    symmetric,
+)
 from plough_opt.design.model.program import Program, error_of_derivatives
 from plough_opt.design.model.tight_integration import steps_factor
 from plough_opt.design.search.effort import TimeLimit
-from plough_opt.design.search.landscape import FINER, Basins, Landscape, Violation, sobol_points
-from plough_opt.design.search.local import AS_FOUND, acceptance, solved_again
+from plough_opt.design.search.landscape import FINER, SAME, Landscape, Violation, even_points
+from plough_opt.design.search.polish import AS_FOUND, solved_again
 
 SMALL = 0.25
 """An objective below this part of its typical size counts as small: near 0 a fraction of it would mean nothing."""
@@ -93,7 +101,7 @@ def _slope_error(program: Program, p: Vector, best: Point) -> float:
     """
     if best.status == AS_FOUND:
         return 0.0
-    if program.checked is not None and np.max(np.abs(program.checked[0] - best.y)) < Basins.same:
+    if program.checked is not None and np.max(np.abs(program.checked[0] - best.y)) < SAME:
         return program.checked[1]
     return error_of_derivatives(program, best.y, p)
 
@@ -126,15 +134,6 @@ def _violation(program: Program, p: Vector, point: Point) -> float:
     """Return the largest scaled violation of a requirement at a point by tight integration."""
     values = zip(program.exact_values(point.y, p)[0][1:], program.scales, strict=True)
     return program.violation(np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)]))
-
-
-def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
-    """Return an optimum solved to the full tolerance if IPOPT stopped before that, else the same point."""
-    if point.status in ("Solve_Succeeded", AS_FOUND):
-        return point
-    # A box around the point could cut off a long flat valley, and its edge would pass for the optimum.
-    again = program.solve(point.y, p, SolveOptions(near=True, exact=False))
-    return again if acceptance(program, p, point.y)(again) else point
 
 
 class _Aside:
@@ -207,7 +206,7 @@ def curvatures_at(
     free = free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
     if not free.shape[1]:
         return np.empty(0), free
-    if not exact and (quotients := Landscape(program, p).quotients(at.y)) is not None:
+    if not exact and (quotients := _quotients(program, p, at.y)) is not None:
         found = reduced_curvatures(lagrangian(quotients[2], at.lam_g), free)
         if found[0][0] > _CLEAR:
             return found
@@ -216,6 +215,14 @@ def curvatures_at(
         # Second derivatives may overflow if the motion is so damped that it forgets its start at once.
         return np.empty(0), free[:, :0]
     return reduced_curvatures(hessian, free)
+
+
+def _quotients(program: Program, p: Vector, y: Vector) -> tuple[Vector, Vector, Vector] | None:
+    """Return `difference_quotients` at a design; None without a value, or if runs are integrated one by one."""
+    landscape = Landscape(program, p)
+    if not landscape.vectorised:
+        return None
+    return difference_quotients(lambda points: landscape.rows(points, finer=FINER, together=len(points)), y)
 
 
 def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> bool:
@@ -227,6 +234,11 @@ def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> boo
             there = program.solve(moved, p, SolveOptions(near=True), fixed=[leading])
             return there.solved and abs(there.f - at.f) <= _Aside.flat * max(1.0, abs(at.f))
     return False
+
+
+NEEDLE = 0.05
+"""An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction: of the
+objective's magnitude, and at least of a quarter of its typical size over all designs."""
 
 
 class BoxSample:
@@ -279,17 +291,6 @@ def boxes(variables: Sequence[Variable], points: Vector, unit: Vector | None = N
     return found.reshape(-1, len(variables))
 
 
-def _as_made(landscape: Landscape) -> Landscape:
-    """Return the landscape of made designs: a workshop does not choose a made dimension again.
-
-    Only a variable without a declared tolerance, such as a bound on a peak, is solved for in each of them.
-    """
-    made = [k for k, v in enumerate(landscape.program.declared.variables) if v.tolerance is not None]
-    if {variable.number for variable in landscape.eliminated}.isdisjoint(made):
-        return landscape
-    return Landscape(landscape.program, landscape.p, sorted({*landscape.held, *made}))
-
-
 def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     """Return the spread of a scaled design within its tolerances; None if runs are integrated one by one.
 
@@ -300,11 +301,10 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     """
     if not landscape.vectorised:
         return None
-    landscape = _as_made(landscape)
     program = landscape.program
     n = len(program.declared.variables)
     designs = boxes(program.declared.variables, y[None], np.vstack([unit_box(n), corners(n, BoxSample.designs)]))
-    _, f, g = landscape.rows_after_elimination(designs, finer=FINER)
+    f, g = landscape.rows(designs, finer=FINER)
     everywhere, g_everywhere, f, g = np.isfinite(f), g, f[: BoxSample.designs], g[: BoxSample.designs]
     valid = np.isfinite(f)
     scale = landscape.objective_scale
@@ -330,7 +330,7 @@ def _too_high(landscape: Landscape, median: Vector, own: Vector) -> NDArray[np.b
     everywhere = landscape.program.population(unit_box(landscape.dimensions), landscape.p)[0]
     sizes = np.abs(everywhere[np.isfinite(everywhere)]) / landscape.objective_scale
     typical = float(np.median(sizes)) if len(sizes) else 0.0
-    return np.asarray(median - own > Basins.needle * np.maximum(np.abs(own), SMALL * typical))
+    return np.asarray(median - own > NEEDLE * np.maximum(np.abs(own), SMALL * typical))
 
 
 def corners(n: int, most: int) -> Vector:
@@ -342,5 +342,5 @@ def corners(n: int, most: int) -> Vector:
 
 @lru_cache(maxsize=16)
 def unit_box(n: int) -> Vector:
-    """Return the designs sampled in the unit box, a row each. The first 2^k of them are evenly spread, too."""
-    return sobol_points(n, BoxSample.designs, np.random.default_rng(BoxSample.seed))
+    """Return the designs sampled in the unit box, a row each. The first of them are evenly spread, too."""
+    return even_points(n, BoxSample.designs, np.random.default_rng(BoxSample.seed))

@@ -11,12 +11,7 @@ import numpy as np
 
 from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import NotConverged
-from plough_opt.design.confirmation import (
-    converged_tightly,
-    flat_directions,
-    minimum_from,
-    with_enough_steps,
-)
+from plough_opt.design.confirmation import flat_directions, minimum_from, with_enough_steps
 from plough_opt.design.model.ipopt import Point, Vector
 from plough_opt.design.model.program import Program, with_sure_steps
 from plough_opt.design.result.catalogue import rounded
@@ -24,35 +19,32 @@ from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.result.optimum import Search as SearchRecord
 from plough_opt.design.result.reporting import remarks, reports
 from plough_opt.design.result.sensitivity import Solved
-from plough_opt.design.search.effort import CAN_WIN, FEW_VARIABLES, Search, TimeLimit, effort_of, searched
-from plough_opt.design.search.explore import Explored, Explorer, Progress
-from plough_opt.design.search.landscape import Evaluations, Landscape
-from plough_opt.design.search.local import AS_FOUND, descend, point_as_found, polished
-from plough_opt.design.search.near import feasible_from, near_optimum
+from plough_opt.design.search.descent import descend
+from plough_opt.design.search.effort import Search, TimeLimit, effort_of, searched
+from plough_opt.design.search.explore import Explored, Progress, explore
+from plough_opt.design.search.feasible import feasible_designs, from_least_violation, nearest_feasible
+from plough_opt.design.search.landscape import Evaluations, Landscape, concatenated
+from plough_opt.design.search.polish import AS_FOUND, converged_tightly, point_as_found, polished
 
 
 class _Optima:
-    """Which basins IPOPT optimises, and which of the optima count."""
+    """Which ends of a search IPOPT optimises, and which of the optima count."""
 
-    most_of_few: Final = 8  # basins for each round of the search, with few variables
-    most_of_many: Final = 3  # with more
+    most: Final = 6  # ends for each round of the search
+    can_win: Final = 0.15  # relative excess over the best end up to which an end is optimised
+    apart: Final = 0.02  # least distance between them
     # The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
     least_scale: Final = 1e-4
     same: Final = 1e-4  # Optima count as the same if no scaled variable differs by this much.
 
 
+# Longest move of a variable in a descent that stays in the basin of its start.
+_NEAR = 0.05
+
 _LEFT_OUT = (
     "the search left out {}: there may be a better design; search='thorough', a number of designs or a time such as"
     " '5 min' has no such limit"
 )
-
-
-@dataclass(frozen=True)
-class Known:
-    """Results of an earlier search: scaled designs that are nearly optimal, a row each, and its record."""
-
-    points: Vector
-    search: SearchRecord
 
 
 @dataclass(frozen=True)
@@ -66,7 +58,6 @@ class Request:
         progress: called with what is being done and the fraction done.
         started: time at which the solve began [s].
         limit: of the processor time.
-        known: results of an earlier search, from which to optimise instead of searching; None to search.
     """
 
     p: Vector
@@ -75,7 +66,6 @@ class Request:
     progress: Progress
     started: float
     limit: TimeLimit
-    known: Known | None = None
 
 
 def solve_program(program: Program, request: Request) -> Optimum:
@@ -85,166 +75,152 @@ def solve_program(program: Program, request: Request) -> Optimum:
         InfeasibleDesign: no design was found that meets the requirements.
         NotConverged: no design has a value, or IPOPT reached no optimum from any design that was found.
     """
+    p, progress, limit = request.p, request.progress, request.limit
     vary = searched(request.search, program.declared.variables)
-    request.progress("preparing the model", 0.0)
-    return _Solve(program.at(request.p, any_guess=bool(vary)), request).solved(vary)
+    progress("preparing the model", 0.0)
+    program = program.at(p, any_guess=bool(vary))
+    landscape = Landscape(program, p)
+    if vary:
+        explored, program, points = _searched(landscape, vary, request)
+    else:
+        progress("solving from the guess", 0.0)
+        explored = None
+        program, point = near_optimum(landscape, program.start())
+        points = [point]
+    points.sort(key=lambda point: point.f)
+    program, points, accuracy_warnings = with_enough_steps(program, p, points, progress, limit)
+    progress("checking", 0.0)
+    best = minimum_from(program, p, converged_tightly(program, p, points[0]))
+    optima, warnings = reports(program, landscape, [best, *points[1:]])
+    confirmed = best.status != AS_FOUND
+    directions = flat_directions(program, p, best) if confirmed else []
+    record = _record(landscape, request, vary, explored, len(points))
+    return Optimum(
+        **optima[0].__dict__,
+        status="unconfirmed" if not confirmed else "not unique" if directions else "solved",
+        flat_directions=tuple(_in_units(program, best, d) for d in directions),
+        local_optima=optima,
+        search=record,
+        seconds=time.perf_counter() - request.started,
+        warnings=(
+            *limit.warnings(_LEFT_OUT),
+            *accuracy_warnings,
+            *remarks(record.objective, best, optima[0], program.ipopt),
+            *warnings,
+        ),
+        solved=Solved(program, p, best, rounder=partial(rounded, request.seed, optima[0].objective)),
+    )
 
 
-class _Solve:
-    """A solve of a scaled program, which gets its integration steps on the way."""
-
-    def __init__(self, program: Program, request: Request) -> None:
-        self._program, self._request, self._p, self._progress = program, request, request.p, request.progress
-        self._landscape = Landscape(program, request.p)
-
-    def solved(self, vary: tuple[int, ...]) -> Optimum:
-        """Return the best optimum.
-
-        Args:
-            vary: numbers of the variables to search over; if empty, the optimum of the guess's basin is returned.
-        """
-        p, landscape, limit = self._p, self._landscape, self._request.limit
-        # Variables that follow from the others by algebra need no search.
-        given = {variable.number for variable in landscape.eliminated}
-        vary = tuple(k for k in vary if k not in given) or vary
-        explored: Explored | None = None
-        if (known := self._request.known) is not None:
-            points = self._from_known(known.points)
-        elif vary:
-            explored, points = self._search(vary)
-        else:
-            self._progress("solving from the guess", 0.0)
-            self._program, point = near_optimum(landscape, self._program.start())
-            points = [point]
-        order = np.argsort([point.f for point in points], kind="stable")
-        program, points, accuracy_warnings = with_enough_steps(
-            self._program, p, [points[k] for k in order], self._progress, limit
+def _searched(landscape: Landscape, vary: tuple[int, ...], request: Request) -> tuple[Explored, Program, list[Point]]:
+    """Search over some variables; return the result, and the local optima that can be best with their program."""
+    program, p, limit = landscape.program, request.p, request.limit
+    start, required = program.start(), bool(program.declared.requirements)
+    effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
+    seed, progress = request.seed, request.progress
+    explored = explore(landscape, start, vary, effort, seed=seed, progress=progress, limit=limit)
+    ends, sample, points = explored.ends, explored.sample, list[Point]()
+    if not len(ends.f):
+        raise NotConverged(
+            f"none of {landscape.designs_tried} designs between the bounds has a value, with"
+            f" {program.declared.ranges()}: tighten the bounds, or shorten the duration",
+            "no value",
         )
-        self._progress("checking", 0.0)
-        best = converged_tightly(program, p, points[0])
-        best = minimum_from(program, p, best)
-        optima, warnings = reports(program, landscape, [best, *points[1:]])
-        confirmed = best.status != AS_FOUND
-        record = known.search if known else self._record(vary, explored, len(points))
-        directions = flat_directions(program, p, best) if confirmed else []
-        rounder = partial(rounded, self._request.seed, optima[0].objective)
-        return Optimum(
-            **optima[0].__dict__,
-            status="unconfirmed" if not confirmed else "not unique" if directions else "solved",
-            flat_directions=tuple(_in_units(program, best, d) for d in directions),
-            local_optima=optima,
-            search=record,
-            seconds=time.perf_counter() - self._request.started,
-            warnings=(
-                *limit.warnings(_LEFT_OUT),
-                *accuracy_warnings,
-                *remarks(record.objective, best, optima[0], program.ipopt),
-                *warnings,
-            ),
-            solved=Solved(program, p, best, rounder=rounder),
+    least_scale, most = _Optima.least_scale * float(np.nanmedian(np.abs(sample.f))), _Optima.most * effort.rounds
+    if np.any(ends.feasible) or not required:
+        program, points = _optima(landscape, ends, least_scale, most, request)
+    if not points and required:
+        progress("looking for a design that meets the requirements", 0.0)
+        known = concatenated([ends, sample])
+        met = feasible_designs(landscape, start, known, seed=seed, progress=progress, limit=limit)
+        ends = concatenated([*(descend(landscape, y) for y in met.points), met])
+        program, points = _optima(landscape, ends, least_scale, most, request)
+        points = points or [point for y in met.points[:1] if (point := point_as_found(program, p, y)).solved]
+    if not points:
+        best_seen = program.declared.describe(program.values(ends.points[np.argmin(ends.key)]))
+        raise NotConverged(
+            f"no optimum was found; the best design that was tried is {best_seen}: check the bounds, or search more"
+            " thoroughly",
+            "no optimum",
         )
-
-    def _search(self, vary: tuple[int, ...]) -> tuple[Explored, list[Point]]:
-        """Search over some variables; return the record and the local optima of the basins that can be best."""
-        program, landscape, request = self._program, self._landscape, self._request
-        start, required = program.start(), bool(program.declared.requirements)
-        effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
-        known = landscape, start, vary, effort, self._progress, request.seed
-        explored = Explorer(*known, limit=request.limit).explore()
-        if not len(explored.minima.f) and not len(explored.least_violating.f):
-            raise NotConverged(
-                f"none of {landscape.designs_tried} designs between the bounds has a value, with"
-                f" {program.declared.ranges()}: tighten the bounds, or shorten the duration",
-                "no value",
-            )
-        size = len(vary), effort.rounds, _Optima.least_scale * float(np.nanmedian(np.abs(explored.sample.f)))
-        minima, points = explored.minima, []
-        if np.any(minima.feasible) or not required:
-            points = self._optima(minima, *size)
-        if not points and required:
-            self._progress("looking for a design that meets the requirements", 0.0)
-            y = feasible_from(landscape, explored, start, request.limit)
-            minima = descend(landscape, y)
-            points = self._optima(minima, *size)
-            if not points and (met := point_as_found(self._program, self._p, y)).solved:
-                points = [met]
-        if not points:
-            best_seen = program.declared.describe(program.values(minima.points[0]))
-            raise NotConverged(
-                f"no optimum was found; the best design that was tried is {best_seen}: check the bounds, or search more"
-                " thoroughly",
-                "no optimum",
-            )
-        return explored, points
-
-    def _from_known(self, known: Vector) -> list[Point]:
-        """Return the local optima near designs that are known to be nearly optimal."""
-        minima = self._landscape(known)
-        points = self._optima(minima, 0, len(known), _Optima.least_scale * float(np.nanmedian(np.abs(minima.f))))
-        if not points:
-            raise NotConverged("no optimum lies near the designs that are known to be nearly optimal", "no optimum")
-        return points
-
-    def _optima(self, minima: Evaluations, variables: int, rounds: int, least_scale: float) -> list[Point]:
-        """Return the local optima of those basins that can be best.
-
-        Args:
-            minima: the best design of each basin.
-            variables: number of variables that were searched.
-            rounds: number of rounds of the search; the more rounds, the more basins are optimised.
-            least_scale: smallest scale of the objective, in units of the merit.
-        """
-        landscape, p = self._landscape, self._p
-        lowest = abs(float(minima.f[np.argmin(minima.merit)]))
-        program = self._program.with_objective_scale(max(lowest, least_scale) * landscape.objective_scale)
-        chosen = _basins_that_can_win(minima.merit, variables <= FEW_VARIABLES, rounds)
-        program = self._program = with_sure_steps(program, p, list(minima.points[chosen]))
-        points: list[Point] = []
-        for number, k in enumerate(chosen):
-            if points and self._request.limit.passed(f"the optima of {len(chosen) - number} basins"):
-                break
-            self._progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
-            point = polished(program, p, minima.points[k], self._request.limit)
-            if point.solved and not any(np.max(np.abs(point.y - other.y)) < _Optima.same for other in points):
-                points.append(point)
-        return points
-
-    def _record(self, vary: tuple[int, ...], explored: Explored | None, polished: int) -> SearchRecord:
-        """Return the record of a search, empty without one.
-
-        Args:
-            vary: numbers of the variables that were searched.
-            explored: result of the search, or None.
-            polished: number of basins that IPOPT optimised.
-        """
-        program, landscape, request = self._program, self._landscape, self._request
-        variables = program.declared.variables
-        sample = explored.sample if explored else Evaluations.none(len(variables))
-        return SearchRecord(
-            asked=str(request.search),
-            variables=tuple(variables[k].name for k in vary),
-            designs=landscape.designs_tried if explored else 0,
-            one_by_one=not landscape.vectorised,
-            basins=len(explored.minima.f) if explored else 1,
-            polished=polished,
-            followed=explored.followed if explored else 0,
-            reached=explored.reached if explored else 0,
-            seed=request.seed,
-            seconds=time.perf_counter() - request.started,
-            values=program.values_of(sample.points),
-            objective=sample.f * landscape.objective_scale,
-            violation=sample.violation,
-            slow="" if program.population.compiled or not explored else compiler_problem(),
-        )
+    return explored, program, points
 
 
-def _basins_that_can_win(criterion: Vector, few_variables: bool, rounds: int) -> list[int]:
-    """Return the numbers of the basins to optimise, best first."""
-    order = np.argsort(criterion, kind="stable")
-    if few_variables:
-        return [int(k) for k in order[: _Optima.most_of_few * rounds]]
-    limit = criterion[order[0]] + CAN_WIN * abs(criterion[order[0]])
-    return [int(k) for k in order if criterion[k] <= limit][: _Optima.most_of_many * rounds]
+def _optima(
+    landscape: Landscape, ends: Evaluations, least_scale: float, most: int, request: Request
+) -> tuple[Program, list[Point]]:
+    """Return the local optima of those ends that can be best, and the program with enough integration steps for them.
+
+    Args:
+        landscape: that was searched.
+        ends: of descents.
+        least_scale: smallest scale of the objective, in units of the merit.
+        most: number of ends to optimise.
+        request: of the solve.
+    """
+    ends = ends.distinct(_Optima.apart)
+    limit = ends.key[0] + _Optima.can_win * abs(ends.key[0])
+    ends = ends.select(ends.key <= limit).select(slice(most))
+    scale = max(abs(float(ends.f[0])), least_scale) * landscape.objective_scale
+    program = with_sure_steps(landscape.program.with_objective_scale(scale), request.p, list(ends.points))
+    points: list[Point] = []
+    for number, y in enumerate(ends.points):
+        if points and request.limit.passed(f"the optima of {len(ends.f) - number} basins"):
+            break
+        request.progress(f"optimising basin {number + 1} of {len(ends.f)}", number / len(ends.f))
+        point = polished(program, request.p, y, request.limit)
+        if point.solved and not any(np.max(np.abs(point.y - other.y)) < _Optima.same for other in points):
+            points.append(point)
+    return program, points
+
+
+def near_optimum(landscape: Landscape, start: Vector) -> tuple[Program, Point]:
+    """Return the optimum of the guess's basin or, if the guess is infeasible, of the nearest feasible design's basin.
+
+    It is returned with the program that has enough integration steps for it.
+
+    Args:
+        landscape: of the program.
+        start: the scaled guess.
+
+    Raises:
+        InfeasibleDesign: no design was found that meets the requirements.
+    """
+    program, p = landscape.program, landscape.p
+    if not landscape.vectorised:
+        program = program.with_steps(p, starts=[start])
+        guess, point = point_as_found(program, p, start), program.solve(start, p)
+        if point.solved and not (guess.solved and point.f > guess.f):
+            return program, point
+        return program, (polished if guess.solved else from_least_violation)(program, p, start)
+    y = start if landscape(start[None]).feasible[0] else nearest_feasible(landscape, start)
+    y = descend(landscape, y, longest=_NEAR).points[0]
+    program = with_sure_steps(program, p, [y])
+    return program, polished(program, p, y)
+
+
+def _record(
+    landscape: Landscape, request: Request, vary: tuple[int, ...], explored: Explored | None, polished: int
+) -> SearchRecord:
+    """Return the record of a search, empty without one; ``polished`` is the number of optima."""
+    program = landscape.program
+    sample = explored.sample if explored else Evaluations(np.empty((0, landscape.dimensions)), np.empty(0), np.empty(0))
+    return SearchRecord(
+        asked=str(request.search),
+        variables=tuple(program.declared.variables[k].name for k in vary),
+        designs=landscape.designs_tried if explored else 0,
+        one_by_one=not landscape.vectorised,
+        basins=len(explored.ends.f) if explored else 1,
+        polished=polished,
+        followed=explored.followed if explored else 0,
+        reached=explored.reached if explored else 0,
+        seed=request.seed,
+        seconds=time.perf_counter() - request.started,
+        values=program.values_of(sample.points),
+        objective=sample.f * landscape.objective_scale,
+        violation=sample.violation,
+        slow="" if program.population.compiled or not explored else compiler_problem(),
+    )
 
 
 def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:

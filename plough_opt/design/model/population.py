@@ -1,6 +1,6 @@
 """Fast, rough evaluation of objective and requirements at very many designs, for searches."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -11,94 +11,10 @@ import numpy as np
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
 from plough_opt.core.rows import by_rows
-from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.nlp import EmbeddedRun, Split, algebra_of, averages_only, has_own_law, holds_maps, refusals
 from plough_opt.motion.solvers.compiled_steps import ManyRuns
 from plough_opt.motion.solvers.integrators import Integration, integration
-
-# Slopes smaller than this count as 0, so that a division by them cannot overflow.
-_NO_SLOPE = 1e-300
-
-
-@dataclass(frozen=True)
-class LinearVariable:
-    """A variable in which objective and requirements are linear and on which no run depends, like a bound on a peak.
-
-    Its best value follows from the others in closed form, so that it need not be searched. IPOPT keeps it as a
-    variable, but of designs drawn at random hardly any would have it near the rows that it bounds.
-
-    Attributes:
-        number: of the variable among the design's variables.
-        variable: the variable.
-        objective: slope of the objective.
-        rows: slopes of the requirements' rows.
-    """
-
-    number: int
-    variable: Variable
-    objective: float
-    rows: Vector
-
-    def solved(self, points: Vector, f: Vector, g: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return designs with this variable at its best value for the others, and their objective and rows.
-
-        Args:
-            points: scaled variables, a row for each design.
-            f: objective, in its unit.
-            g: rows of the requirements, in their units.
-            low: lower limits of the rows.
-            high: upper limits.
-        """
-        v, dependent = self.variable, np.flatnonzero(np.abs(self.rows) > _NO_SLOPE)
-        y = points[:, self.number]
-        value = np.asarray(v.unscaled(y))
-        slopes, own = self.rows[dependent], g[:, dependent]
-        with np.errstate(invalid="ignore"):
-            ends = (low[dependent] - own) / slopes, (high[dependent] - own) / slopes
-        # The rows keep their limits for changes of the variable from `least` to `most`.
-        least = np.where(slopes > 0.0, *ends).max(axis=1, initial=-np.inf)
-        most = np.where(slopes > 0.0, *ends[::-1]).min(axis=1, initial=np.inf)
-        smallest = np.minimum(np.maximum(0.0, least), most)
-        wanted = least if self.objective > 0.0 else most if self.objective < 0.0 else smallest
-        best = np.clip(np.where(np.isnan(wanted), value, value + wanted), v.lower, v.upper)
-        moved = points.copy()
-        moved[:, self.number] = np.clip(np.asarray(v.scaled(best)), 0.0, 1.0)
-        change = best - value
-        return moved, f + self.objective * change, g + change[:, None] * self.rows
-
-
-def linear_variables(
-    parts: Split, variables: Sequence[Variable], parameters: Sequence[ca.MX], p: Vector
-) -> list[LinearVariable]:
-    """Return variables that can be solved for in closed form: see `LinearVariable`. No two of them share a row.
-
-    Args:
-        parts: objective and requirements in terms of the variables and parameters, split around their runs.
-        variables: of the design. At least one of them remains to be searched.
-        parameters: symbols of the parameters.
-        p: values of the parameters.
-    """
-    given = ca.vertcat(*(ca.vec(item) for run in parts.runs for item in (run.inputs, run.quantities)))
-    f, g = parts.expressions[0], ca.vertcat(*(ca.vec(one) for one in parts.expressions[1:]))
-    changing = ca.vertcat(*(v.symbol for v in variables), *parts.results)
-    found: list[LinearVariable] = []
-    taken = np.zeros(g.numel(), dtype=bool)
-    for number, v in enumerate(variables):
-        if len(found) == len(variables) - 1 or (given.numel() and ca.depends_on(given, v.symbol)):
-            continue
-        slopes = ca.vertcat(ca.jacobian(f, v.symbol), ca.jacobian(g, v.symbol))
-        if ca.depends_on(slopes, changing):
-            continue
-        numbers = ca.Function("slopes", list(parameters), [ca.densify(slopes)]).call([*map(ca.DM, p)])[0]
-        objective, *rows = np.asarray(numbers).ravel().tolist()
-        own = np.array(rows)
-        if np.any(taken & (own != 0.0)) or not np.all(np.isfinite(own)):
-            continue
-        taken |= own != 0.0
-        found.append(LinearVariable(number, v, objective, own))
-    return found
-
 
 # Numbers kept in memory at once: designs are evaluated in chunks of this many results.
 _MOST_RESULTS = 4_000_000

@@ -18,7 +18,7 @@ from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
 from plough_opt.design.model.nlp import MANY_STEPS, Nlp, Split, as_machine_code, build_nlp, first_slack, relaxed, split
-from plough_opt.design.model.population import LinearVariable, Population, linear_variables
+from plough_opt.design.model.population import Population
 from plough_opt.design.model.tight_integration import (
     TightEvaluation,
     check_bounds,
@@ -104,7 +104,6 @@ class _Caches:
     parts: dict[Hashable, Split] = field(default_factory=dict)
     population: dict[Hashable, Population] = field(default_factory=dict)
     values_at_guess: dict[Hashable, list[Vector]] = field(default_factory=dict)
-    linear: dict[Hashable, list[LinearVariable]] = field(default_factory=dict)
     exact_values: dict[Hashable, tuple[list[Vector], list[Vector]]] = field(default_factory=dict)
 
 
@@ -290,12 +289,6 @@ class Program:
         # The scaled program alone: what is built must not refer to the cache that it is kept in.
         scaled = replace(self, checked=None, _built=None, _caches=_Caches())
         return BuiltProgram(scaled, steps, partial(build_nlp, parts, y, p, by_code=by_code))
-
-    def linear_variables(self, p: Vector) -> list[LinearVariable]:
-        """Return the variables that follow from the others by algebra: see `plough_opt.design.model.population`."""
-        symbols = [own.symbol for own in self.declared.parameters]
-        find = partial(linear_variables, self.exact.parts, self.declared.variables, symbols, p)
-        return cached(self._caches.linear, p.tobytes(), find)
 
     @property
     def built(self) -> BuiltProgram:

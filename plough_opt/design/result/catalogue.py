@@ -1,11 +1,10 @@
-"""Optima in catalogue values: all combinations screened, and the best one with the other variables optimised again."""
+"""Optima in catalogue values: all combinations screened, and the best ones with the other variables optimised again."""
 
 import itertools
 import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -20,238 +19,103 @@ from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Choice, Rounded
 from plough_opt.design.result.reporting import reports
 from plough_opt.design.result.sensitivity import Solved
-from plough_opt.design.search.effort import CAN_WIN, TimeLimit
+from plough_opt.design.search.descent import descend
+from plough_opt.design.search.effort import Effort, TimeLimit
+from plough_opt.design.search.explore import explore
+from plough_opt.design.search.feasible import failures, from_least_violation
 from plough_opt.design.search.landscape import (
-    LEAST_GAIN,
-    MANY_VARIABLES,
     SEED,
     Evaluations,
     Landscape,
     concatenated,
-    dips_along,
-    evolved,
-    lines_through,
-    local_minima,
-    sobol_points,
+    even_points,
     with_variables,
 )
-from plough_opt.design.search.local import AS_FOUND, descend, least_violation, point_as_found
-from plough_opt.design.search.near import failures, from_least_violation
-
-
-class _FreeSample:
-    """Extent of the first sample of the free variables."""
-
-    designs: Final = 2**16  # of all combinations together
-    fewest_each: Final = 2
-    most_each: Final = 128
-    # Weight of a violation in the second ranking, which keeps slightly infeasible combinations in the competition.
-    low_penalty: Final = 1.0
-
-
-class _ShrinkingBoxes:
-    """Boxes around the best designs of the lowest combinations."""
-
-    combinations: Final = 256  # in the first round; their number is halved from round to round
-    designs: Final = 16  # in a box
-    radii: Final = (0.25, 0.12, 0.06, 0.03, 0.015)  # half widths by round, as fractions of the range
-
-
-class _Descents:
-    """Number of descents from the lowest combinations."""
-
-    combinations: Final = 30
-    together: Final = 60  # of all combinations
-    most_each: Final = 8
-
-
-class _Evolution:
-    """Extent of the evolution of the combinations that can still win, and of the looks around its ends."""
-
-    combinations: Final = 8  # at most
-    designs_per_variable: Final = 12
-    generations: Final = 50
-    converged: Final = 1e-6  # It ends when the merits scatter by less than this fraction.
-    looks: Final = 4  # along the lines through the lowest design
+from plough_opt.design.search.polish import AS_FOUND, point_as_found
 
 
 class _Screen:
-    """Evaluates combinations over the variables that have no catalogue."""
+    """How combinations of catalogue values are screened."""
 
-    def __init__(
-        self, landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector, seed: int
-    ) -> None:
-        """Prepare to find the combinations that can be best.
-
-        Args:
-            landscape: of the design; vectorised.
-            optimum: the scaled optimum.
-            fixed: numbers of the variables with a catalogue.
-            combinations: scaled values of these variables, a row for each combination.
-            seed: of the samples.
-        """
-        self._landscape, self._optimum, self._fixed, self._combinations = landscape, optimum, fixed, combinations
-        self._free = [k for k in range(len(optimum)) if k not in fixed]
-        self._rng = np.random.default_rng([SEED + seed, len(combinations)])
-
-    def promising(self, kept: list[int], limit: TimeLimit) -> dict[int, Vector]:
-        """Return the combinations that can be best, each by its row with a start from which to optimise.
-
-        The lowest merit is first and infeasible ones are last. All are evaluated with the free variables at the optimum
-        and at a sample. The lowest are sampled again in shrinking boxes around their best design, and from the lowest
-        designs of the remaining ones descents start.
-
-        Args:
-            kept: rows that are never dropped, such as the optimum's neighbours.
-            limit: of the processor time; once it is over, the other combinations keep their lowest designs so far.
-        """
-        every = np.arange(len(self._combinations))
-        at_optimum = self._landscape(self._designs(every, self._optimum[self._free]))
-        if not self._free:
-            best = _lowest(at_optimum, _Descents.combinations, kept)
-            return _in_order({k: at_optimum.select([k]) for k in best.tolist()})
-        samples = self._sampled(at_optimum, kept)
-        descents = max(2, min(_Descents.most_each, _Descents.together // len(samples)))
-        found: dict[int, Evaluations] = {}
-        for number, own in samples.items():
-            late = found and limit.passed("descents in some combinations")
-            found[number] = own.select([int(np.argmin(own.merit))]) if late else self._descended(own, descents)
-        order = [*_in_order(found)]
-        # With several free variables a sample may miss the best basin of a combination that can win.
-        lowest = _rank(found[order[0]])
-        highest = lowest + CAN_WIN * abs(lowest)
-        for number in order[: _Evolution.combinations] if len(self._free) > 1 else ():
-            if _rank(found[number]) > highest or limit.passed("evolution of some combinations"):
-                break
-            found[number] = self._evolved(found[number], samples[number])
-        return _in_order(found)
-
-    def _designs(self, numbers: np.ndarray, free: Vector) -> Vector:
-        """Return the designs that join combinations, by number, with a row each of the free variables, or the same."""
-        found = with_variables(self._optimum, self._fixed, self._combinations[numbers])
-        found[:, self._free] = free
-        return found
-
-    def _sampled(self, at_optimum: Evaluations, kept: list[int]) -> dict[int, Evaluations]:
-        """Return the lowest combinations, by number, with evaluated designs of each.
-
-        These are the one at the optimum, the best one found, and its part of the sample.
-        """
-        count, n = len(self._combinations), len(self._free)
-        numbers = np.arange(count)
-        each = int(np.clip(_FreeSample.designs // count, _FreeSample.fewest_each, _FreeSample.most_each))
-        points = sobol_points(n, count * each, self._rng)
-        # Consecutive points of the sequence fill the space evenly, so each combination takes a block of them.
-        sample = self._landscape(self._designs(np.repeat(numbers, each), points))
-        best = _best_of_each(at_optimum, sample, each)
-        numbers = _lowest(best, _ShrinkingBoxes.combinations, kept)
-        best = best.select(numbers)
-        for k, radius in enumerate(_ShrinkingBoxes.radii):
-            best = self._zoomed(numbers, best, radius)
-            remaining = max(_Descents.combinations, _ShrinkingBoxes.combinations >> (k + 1))
-            left = _lowest(best, remaining, np.flatnonzero(np.isin(numbers, kept)).tolist())
-            numbers, best = numbers[left], best.select(left)
-        return {
-            k: concatenated([at_optimum.select([k]), best.select([j]), sample.select(slice(k * each, (k + 1) * each))])
-            for j, k in enumerate(numbers.tolist())
-        }
-
-    def _zoomed(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
-        """Return the lowest design of each combination after sampling a box around its lowest so far."""
-        each = _ShrinkingBoxes.designs
-        offsets = self._rng.uniform(-radius, radius, (len(numbers) * each, len(self._free)))
-        points = np.clip(np.repeat(best.points[:, self._free], each, axis=0) + offsets, 0.0, 1.0)
-        return _best_of_each(best, self._landscape(self._designs(np.repeat(numbers, each), points)), each)
-
-    def _descended(self, designs: Evaluations, count: int) -> Evaluations:
-        """Return the best end of descents from a combination's lowest designs, with the combination's values held."""
-        # The designs at the optimum and the best one found; then the local minima of the sample.
-        starts = [0, 1]
-        if len(designs.f) > 4 * _ShrinkingBoxes.designs:
-            lowest, _ = local_minima(designs.points[:, self._free], designs.merit)
-            starts += [int(k) for k in lowest if k > 1]
-        # A design that cannot be evaluated has no slope to follow.
-        starts = [k for k in starts if np.isfinite(designs.merit[k])][:count]
-        ends = [self._end(designs.points[k]) for k in starts] or [designs.select([0])]
-        return min(ends, key=_rank)
-
-    def _evolved(self, known: Evaluations, designs: Evaluations) -> Evaluations:
-        """Return the end of an evolution from a combination's lowest designs if it is lower than the known start.
-
-        Without it two of the random catalogue problems miss the basin of their best combination.
-        """
-        n = len(self._free)
-        size = _Evolution.designs_per_variable * n
-        lowest = np.argsort(designs.merit, kind="stable")[:size]
-        start = np.vstack([known.points[:, self._free], designs.points[lowest][:, self._free]])
-        if len(start) < size:
-            start = np.vstack([start, self._rng.random((size - len(start), n))])
-
-        whole = partial(with_variables, known.points[0], self._free)
-        most, alike = _Evolution.generations, _Evolution.converged
-        best = evolved(
-            lambda x: self._landscape(whole(x)).merit, start, most, self._rng, from_best=n < MANY_VARIABLES, alike=alike
-        )
-        return self._along_each_variable(min(known, self._end(whole(best[None])[0]), key=_rank))
-
-    def _along_each_variable(self, one: Evaluations) -> Evaluations:
-        """Return the lowest end of descents from dips along each free variable, which a sparse sample misses.
-
-        One of the random catalogue problems needs it with some seeds.
-        """
-        for _ in range(_Evolution.looks):
-            lines = lines_through(one.points[0], self._free)
-            dips = dips_along(self._landscape(lines).merit)
-            best = min([one, *(self._end(lines[k]) for k in dips)], key=_rank)
-            if not _rank(best) < _rank(one) - LEAST_GAIN * abs(_rank(one)):
-                break
-            one = best
-        return one
-
-    def _end(self, start: Vector) -> Evaluations:
-        """Return the end of a descent in the free variables, feasible if a least-violation search leads there."""
-        box = np.zeros(len(start)), np.ones(len(start))
-        for side in box:
-            side[self._fixed] = start[self._fixed]
-        end = descend(self._landscape, start, box)
-        if end.feasible[0]:
-            return end
-        nearer = least_violation(self._landscape, end.points[0], box)
-        if nearer.feasible[0]:
-            return descend(self._landscape, nearer.points[0], box)
-        return min((end, nearer), key=lambda one: float(one.merit[0]))
+    designs: Final = 2**16  # of all combinations together; each of them gets at least and at most
+    each: Final = (2, 128)
+    low_penalty: Final = 1.0  # of a violation in the second ranking, which keeps slightly infeasible combinations
+    combinations: Final = 30  # from which descents start
+    descents: Final = 2  # of each
+    searched: Final = 8  # combinations that can win and are searched in their free variables
+    search: Final = Effort(1024, looks=2)
+    can_win: Final = 0.15  # Those within this part of the lowest can win.
 
 
-def _best_of_each(first: Evaluations, others: Evaluations, each: int) -> Evaluations:
-    """Return the lowest design of each combination, out of its first design and ``each`` others."""
-    count = len(first.f)
-    merit = np.column_stack([first.merit, others.merit.reshape(count, each)])
-    which = np.argmin(merit, axis=1)
-    every = concatenated([first, others])
-    return every.select(np.where(which == 0, np.arange(count), count + np.arange(count) * each + which - 1))
+def _promising(
+    landscape: Landscape,
+    optimum: Vector,
+    fixed: list[int],
+    combinations: Vector,
+    kept: list[int],
+    seed: int,
+    limit: TimeLimit,
+) -> dict[int, Vector]:
+    """Return the combinations that can be best, lowest first: the number of each, with a start from which to optimise.
 
+    All are evaluated with the free variables at the optimum and at a sample. From the lowest designs of the lowest
+    combinations descents start, and those that can still win are searched.
 
-def _lowest(best: Evaluations, count: int, kept: list[int]) -> np.ndarray:
-    """Return the numbers of the lowest combinations: half by merit, half with a low penalty, and those to keep."""
-    if len(best.f) <= count:
-        return np.arange(len(best.f))
+    Args:
+        landscape: of the design; vectorised.
+        optimum: the scaled optimum.
+        fixed: numbers of the variables with a catalogue.
+        combinations: scaled values of these variables, a row for each combination.
+        kept: rows that are never dropped, such as the optimum's neighbours.
+        seed: of the samples.
+        limit: of the processor time; once it is over, the other combinations keep their lowest designs so far.
+    """
+    count, free = len(combinations), [k for k in range(len(optimum)) if k not in fixed]
+    designs = with_variables(optimum, fixed, combinations)
+    each = int(np.clip(_Screen.designs // count, *_Screen.each)) if free else 0
+    whole = np.repeat(designs, 1 + each, axis=0)
+    sampled = np.arange(len(whole)) % (1 + each) > 0
+    if free:
+        rng = np.random.default_rng([SEED + seed, count])
+        whole[np.ix_(np.flatnonzero(sampled), np.array(free))] = even_points(len(free), count * each, rng)
+    every = landscape(whole)
     with np.errstate(invalid="ignore"):
-        low_penalty = np.where(np.isfinite(best.f), best.f + _FreeSample.low_penalty * best.violation, np.inf)
-    strict, loose = (np.argsort(value, kind="stable").tolist() for value in (best.merit, low_penalty))
-    half = count // 2
-    chosen = list(dict.fromkeys([*kept, *strict[:half], *loose[: count - half]]))
-    # The two halves often overlap: fill up by merit.
-    return np.array(list(dict.fromkeys([*chosen, *strict[: count + len(kept)]]))[: max(count, len(chosen))])
+        loose = np.where(np.isfinite(every.f), every.f + _Screen.low_penalty * every.violation, np.inf)
+    key = every.key.reshape(count, -1)
+    strict, slack = (np.argsort(own.reshape(count, -1).min(axis=1), kind="stable").tolist() for own in (key, loose))
+    half = _Screen.combinations // 2
+    chosen = list(dict.fromkeys([*kept, *strict[:half], *slack[:half], *strict]))
+    chosen = chosen[: max(_Screen.combinations, len(kept))]
+    found: dict[int, Evaluations] = {}
+    for number in chosen:
+        rows = number * (1 + each) + np.argsort(key[number], kind="stable")[: _Screen.descents]
+        late = bool(found) and limit.passed("descents in some combinations")
+        own = every.select(rows[:1] if late or not free else rows)
+        found[number] = own if late or not free else _descended(landscape, own, fixed)
+    order = sorted(found, key=lambda k: (found[k].key[0], k))
+    lowest = found[order[0]].key[0]
+    for number in order[: _Screen.searched] if len(free) > 1 else ():
+        own = found[number]
+        if own.key[0] > lowest + _Screen.can_win * abs(lowest) or limit.passed("searches in some combinations"):
+            break
+        ends = explore(landscape, own.points[0], free, _Screen.search, seed=seed, held=fixed, limit=limit).ends
+        found[number] = concatenated([ends, own]).distinct(0.0, 1)
+    return {k: found[k].points[0] for k in sorted(found, key=lambda k: (found[k].key[0], k))}
 
 
-def _rank(design: Evaluations) -> float:
-    """Return the merit by which combinations are ranked: every feasible one is below any that is not."""
-    return float(design.strict_merit[0])
-
-
-def _in_order(found: dict[int, Evaluations]) -> dict[int, Vector]:
-    """Return the design of each combination, lowest first."""
-    return {k: found[k].points[0] for k in sorted(found, key=lambda k: (_rank(found[k]), k))}
+def _descended(landscape: Landscape, starts: Evaluations, fixed: list[int]) -> Evaluations:
+    """Return the best end of descents with some variables held, from starts or from where they are less infeasible."""
+    ends = [starts]
+    for start in starts.select(np.isfinite(starts.f)).points:
+        box = np.zeros(len(start)), np.ones(len(start))
+        box[0][fixed] = box[1][fixed] = start[fixed]
+        end = descend(landscape, start, box)
+        if not end.feasible[0]:
+            nearer = descend(landscape.without_objective(), end.points[0], box)
+            end = descend(landscape, nearer.points[0], box) if nearer.feasible[0] else landscape(nearer.points)
+        ends.append(end)
+    best = concatenated(ends)
+    return best.select([int(np.argmin(best.key))])
 
 
 Catalogue = float | str | Sequence[float | str]
@@ -392,7 +256,7 @@ def rounded(seed: int, unrounded: float, solved: Solved, catalogues: Mapping[str
     p = solved.p
     offered = allowed(solved.program.declared.variables, catalogues)
     fixed = [own.number for own in offered]
-    landscape = Landscape(solved.program, p, fixed)
+    landscape = Landscape(solved.program, p)
     count = math.prod(len(own.offered) for own in offered)
     few = count < _Combinations.screened and count * solved.program.population.runs < _Combinations.runs_screened
     every = landscape.vectorised and few
@@ -465,8 +329,8 @@ def _starts(
     if limit:
         always = set(itertools.product(*neighbours)) if near <= _Combinations.optimised else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
-        screen = _Screen(landscape, solved.point.y, fixed, np.array(scaled), seed)
-        found = [*screen.promising(kept, limit).items()][: _Combinations.optimised]
+        screened = _promising(landscape, solved.point.y, fixed, np.array(scaled), kept, seed, limit)
+        found = [*screened.items()][: _Combinations.optimised]
         return [(start, combinations[number]) for number, start in found]
     return list(zip(with_variables(solved.point.y, fixed, scaled), combinations, strict=True))
 

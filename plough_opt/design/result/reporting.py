@@ -12,7 +12,7 @@ from plough_opt.design.model.optimality import decides
 from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Limit, LocalOptimum
 from plough_opt.design.search.landscape import Landscape
-from plough_opt.design.search.local import AS_FOUND
+from plough_opt.design.search.polish import AS_FOUND
 from plough_opt.motion.run import without_repetition
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat

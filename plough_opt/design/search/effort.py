@@ -23,12 +23,6 @@ Search = str | int | Sequence[str]
 WORDS = ("auto", "thorough", "near", "local")
 """The words accepted as `search`; "local" means the same as "near"."""
 
-FEW_VARIABLES = 3
-"""With up to this many variables a sample is dense, so that no ripple goes unnoticed, and a solve by IPOPT is quick."""
-
-CAN_WIN = 0.15
-"""With more variables, only those designs are optimised whose criterion is within this part of the best."""
-
 AUTO_SECONDS = 20.0
 """Processor time after which no further part of an automatic search begins [s]; what has begun may take ten more."""
 
@@ -36,14 +30,11 @@ AUTO_SECONDS = 20.0
 class _Extent:
     """Bounds of the extent of a search."""
 
-    # Sample size, a power of two, with one, two, ... variables; the last one with more of them, too.
-    designs: Final = (512, 1024, 2048, 4096, 8192)
-    # Islands likewise. With four or more variables, one in two to four evolutions misses the best basin.
-    islands: Final = (0, 1, 2, 4, 4)
-    most_runs: Final = 60_000  # in a round, for designs with many runs: they take some seconds
+    designs: Final = (512, 2048, 4096)  # sample size with one, two, ... variables; the last one with more of them, too
+    most_runs: Final = 60_000  # in a sample, for designs with many runs: they take some seconds
     one_by_one: Final = 256  # runs in a sample if they are integrated one by one, each for milliseconds
-    fewest_one_by_one: Final = 32  # designs of such a sample
-    fewest_rare: Final = 4  # Fewer feasible designs than this are rare in any sample.
+    fewest: Final = 8  # designs of a sample
+    fewest_one_by_one: Final = 32  # unless they are integrated one by one
     thorough: Final = 4  # rounds of a thorough search
 
 
@@ -55,34 +46,23 @@ _NUMBER = re.compile(r"\s*[-+]?(\.?[0-9]|(nan|inf(inity)?)\b)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Effort:
-    """The extent of a search. Each of its rounds consists of a sample, an evolution on islands, and descents.
+    """The extent of a search. Each of its rounds consists of a sample, descents, and looks around their ends.
 
     Attributes:
         designs: sample size in a round.
-        islands: number of islands in a round.
-        population: designs on an island.
-        generations: most generations of an evolution.
-        descents: number of the sample's lowest designs from which descents start.
-        followed: most further descents, from the local minima below designs drawn at random.
-        rare: number of feasible designs of the sample below which they are searched for first.
-        dense: whether the sample shows the landscape between its designs. Then there is no descent from a design from
-            which the merit falls all the way to a known end, and no evolution if hardly any unseen basin is expected.
         rounds: number of rounds, unless one of the following is given.
         most_designs: number of designs after which to stop, or None.
         seconds: time after which to stop [s], or None.
+        descents: most descents from local minima of the sample.
+        looks: most looks around the ends, which go on as long as they find lower ones.
     """
 
     designs: int
-    islands: int
-    population: int
-    generations: int
-    descents: int
-    followed: int
-    rare: int
-    dense: bool = False
     rounds: int = 1
     most_designs: int | None = None
     seconds: float | None = None
+    descents: int = 24
+    looks: int = 4
 
     def more(self, rounds: int, designs: int, began: float) -> bool:
         """Return whether to start another round.
@@ -94,9 +74,7 @@ class Effort:
         """
         if self.seconds is not None:
             return time.perf_counter() - began < self.seconds
-        if self.most_designs is not None:
-            return designs < self.most_designs
-        return rounds < self.rounds
+        return rounds < self.rounds if self.most_designs is None else designs < self.most_designs
 
 
 class TimeLimit:
@@ -134,34 +112,16 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         runs: number of runs in a design.
         vectorised: whether the runs of many designs are integrated together.
     """
-    row = min(dimensions, len(_Extent.designs)) - 1
-    usual = _Extent.designs[row]
-    designs = min(usual, max(_Extent.one_by_one, _Extent.most_runs // max(runs, 1)))
-    designs = 1 << (designs.bit_length() - 1)  # only powers of two make Sobol points even
-    islands = _Extent.islands[row] if designs * runs < _Extent.most_runs else 0
-    if not vectorised:
+    if vectorised:
+        usual = _Extent.designs[min(dimensions, len(_Extent.designs)) - 1]
+        designs = min(usual, max(_Extent.one_by_one, _Extent.most_runs // max(runs, 1)))
+    else:
         designs = max(_Extent.fewest_one_by_one, _Extent.one_by_one // max(runs, 1))
-        designs, islands = 1 << (designs.bit_length() - 1), 0
     number = number_of(search)
-    if number is not None and number < designs:
-        # Less than a round: only a sample, of a power of two.
-        designs, islands = 1 << max(3, number.bit_length() - 1), 0
-    many = dimensions > FEW_VARIABLES
-    population = 40 if many else 24
-    return Effort(
-        designs=designs,
-        islands=islands,
-        population=population,
-        generations=60 if many else 30,
-        descents=4 + 3 * dimensions,
-        followed=4 + 2 * dimensions,
-        # A smaller sample of as many runs holds fewer of them.
-        rare=max(_Extent.fewest_rare, population * designs // usual),
-        dense=not many and search != "thorough",
-        rounds=_Extent.thorough if search == "thorough" else 1,
-        most_designs=number,
-        seconds=seconds_of(search),
-    )
+    if number is not None:
+        designs = max(_Extent.fewest, min(designs, number))
+    rounds = _Extent.thorough if isinstance(search, str) and search == "thorough" else 1
+    return Effort(designs, rounds, number, seconds_of(search))
 
 
 def number_of(search: Search) -> int | None:

@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import NotConverged
 from plough_opt.core.plain_data import Array
-from plough_opt.design.confirmation import boxes, minimum_from
+from plough_opt.design.confirmation import NEEDLE, boxes, minimum_from
 from plough_opt.design.model.ipopt import REMEDIES, Point
+from plough_opt.design.search.descent import descend
 from plough_opt.design.search.effort import Search, effort_of, searched
-from plough_opt.design.search.explore import Explorer, Progress
-from plough_opt.design.search.landscape import SEED, Basins, Evaluations, Landscape, Violation, apart, evolved, sample
-from plough_opt.design.search.local import descend, point_as_found, polished
-from plough_opt.design.search.near import feasible_from, near_optimum
+from plough_opt.design.search.explore import Progress, explore
+from plough_opt.design.search.feasible import feasible_designs
+from plough_opt.design.search.landscape import SEED, Evaluations, Landscape, Violation, apart, concatenated
+from plough_opt.design.search.polish import point_as_found, polished
+from plough_opt.design.solving import near_optimum
 from plough_opt.studies.tradeoff.front import (
     Arrangement,
     FrontCandidate,
@@ -46,10 +48,10 @@ _BOXES_AT_ONCE = 100
 _FOLLOWED = 0.15
 # Most basins that are followed for one objective.
 _MOST_BASINS = 3
-# Evolution at a position: designs for each variable, generations, and the spread of designs that counts as converged.
-_DESIGNS_EACH = 6
-_GENERATIONS = 25
-_ALIKE = 0.01
+# Least distance of these minima.
+_APART = 0.02
+# Descents of a short search at a position.
+_DESCENTS = 4
 
 
 class Archive:
@@ -96,7 +98,6 @@ class Archive:
         # The objectives share the effort. How likely further basins are is not reported, so none are followed for that.
         self._effort = replace(
             effort,
-            followed=0,
             most_designs=None if effort.most_designs is None else max(1, effort.most_designs // front.count),
             seconds=None if effort.seconds is None else effort.seconds / front.count,
         )
@@ -179,47 +180,30 @@ class Archive:
             NotConverged: no design has a value.
         """
         landscape = FrontLandscape(self, p)
-        explorer = Explorer(landscape, self._start, self.vary, self._effort, self.progress, self.seed)
-        explored = explorer.explore()
-        if not np.any(np.isfinite(explored.sample.merit)):
+        explored = explore(landscape, self._start, self.vary, self._effort, seed=self.seed, progress=self.progress)
+        ends = explored.ends
+        if not len(ends.f):
             none = f"none of {landscape.designs_tried} designs between the bounds has a value"
             raise NotConverged(f"{none}: tighten the bounds, or shorten the duration", "no value")
-        if not np.any(explored.minima.feasible):
+        if not ends.feasible[0]:
             self.progress("looking for a design that meets the requirements", 0.0)
-            return descend(landscape, feasible_from(landscape, explored, self._start))
-        values = explored.minima.merit
-        limit = values.min() + _FOLLOWED * abs(values.min())
-        best_first = np.argsort(values, kind="stable")
-        return explored.minima.select([k for k in best_first if values[k] <= limit][:_MOST_BASINS])
+            known = concatenated([ends, explored.sample])
+            met = feasible_designs(landscape, self._start, known, seed=self.seed, progress=self.progress)
+            ends = concatenated([*(descend(landscape, y) for y in met.points), met])
+        ends = ends.distinct(_APART, _MOST_BASINS)
+        return ends.select(ends.key <= ends.key[0] + _FOLLOWED * abs(ends.key[0]))
 
-    def evolved_at(self, p: Array) -> list[Array]:
-        """Return the designs that evolution finds in a subproblem, one for each round of the effort.
+    def searched_at(self, p: Array) -> list[Array]:
+        """Return the best designs that a short search finds in a subproblem.
 
         Empty if fewer than two variables are searched, or runs are integrated one by one, which takes too long.
         """
-        landscape, varied, ends = FrontLandscape(self, p), list(self.vary), []
-        if not self.vectorised or len(varied) < 2:
+        if not self.vectorised or len(self.vary) < 2:
             return []
-
-        def whole(points: Array) -> Array:
-            designs = np.repeat(self._start[None], len(points), axis=0)
-            designs[:, varied] = points
-            return designs
-
-        def merit(points: Array) -> Array:
-            return landscape(whole(points)).merit
-
-        for number in range(self._effort.rounds):
-            # `basin_minima` begins with the same sample, which is cached.
-            rng = np.random.default_rng([SEED + self.seed, number])
-            points, _ = sample(len(varied), self._effort.designs, self._start[varied], rng)
-            merits = merit(points)
-            if np.any(np.isfinite(merits)):
-                best = points[np.argsort(merits, kind="stable")[: _DESIGNS_EACH * len(varied)]]
-                rng = np.random.default_rng([SEED + self.seed, number, 1])
-                end = evolved(merit, best, _GENERATIONS, rng, from_best=True, alike=_ALIKE)
-                ends.append(whole(end[None])[0])
-        return ends
+        effort = replace(self._effort, descents=_DESCENTS, looks=1)
+        # `basin_minima` begins with the same sample, which is cached.
+        ends = explore(FrontLandscape(self, p), self._start, self.vary, effort, seed=self.seed).ends
+        return list(ends.points[: effort.rounds])
 
     # --- tolerances --------------------------------------------------------------------------------------
 
@@ -255,9 +239,7 @@ class Archive:
         if medians is None:
             return np.zeros(len(points), dtype=bool)
         scaled = self.front.scaled(objectives)
-        return np.asarray(
-            np.any(medians - scaled > Basins.needle * np.maximum(np.abs(scaled), self.front.span), axis=1)
-        )
+        return np.asarray(np.any(medians - scaled > NEEDLE * np.maximum(np.abs(scaled), self.front.span), axis=1))
 
 
 class FrontLandscape(Landscape):
@@ -270,7 +252,7 @@ class FrontLandscape(Landscape):
 
     def rows(self, points: Array, *, finer: float = 1.0, together: int = 1) -> tuple[Array, Array]:
         """Return the scaled objective and requirements of the subproblem, a row for each design."""
-        self.designs_tried += len(points)
+        self._tried[0] += len(points)
         objectives, g = self._archive.evaluate(points, finer=finer, together=together)
         weights, normals, limits = self._subproblem
         g = g.copy()

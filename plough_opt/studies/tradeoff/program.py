@@ -30,10 +30,11 @@ from plough_opt.design.model.ipopt import Point
 from plough_opt.design.model.optimality import curvature_of, difference_quotients
 from plough_opt.design.model.program import Program
 from plough_opt.design.model.tight_integration import TightEvaluation
+from plough_opt.design.search.descent import descend
 from plough_opt.design.search.landscape import Landscape
-from plough_opt.design.search.local import Corrector, Slopes, descend
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
+from plough_opt.studies.tradeoff.corrector import Corrector, Slopes
 from plough_opt.studies.tradeoff.front import Goal
 
 # Factor on the number of integration steps of a search. It leaves averages with errors of some 1e-10, outputs 1e-8.

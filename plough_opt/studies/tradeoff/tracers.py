@@ -142,7 +142,7 @@ class CurveTracer(Tracer):
     def _search_at(self, position: float) -> None:
         """Search for further branches at a position, and follow those that are new both ways."""
         p = self._parameters_for(1, position)
-        for y in self.archive.evolved_at(p):
+        for y in self.archive.searched_at(p):
             before = len(self.candidates)
             self.follow_new(self.no_worse_than(y, p), before)
 
@@ -593,7 +593,13 @@ class SurfaceTracer(Tracer):
         # An anchor close to another anchor need not stay.
         anchors = apart(places, np.argmin(objectives @ _ANCHOR_WEIGHTS.T, axis=0), room)
         stays[[*anchors, *chain(*hole_ends)]] = True
-        return np.sort(apart(places, np.flatnonzero(~stays), room, kept=np.flatnonzero(stays)))
+        stay = np.flatnonzero(stays)
+        far = [
+            k
+            for k in np.flatnonzero(~stays).tolist()
+            if np.all(np.max(np.abs(places[stay] - places[k]), axis=1) >= room)
+        ]
+        return np.sort(np.array([*stay, *apart(places, far, room)], dtype=np.intp))
 
     def find_inner_neighbours(self) -> None:
         """Keep the points on edges as they are; their multipliers already give the rates."""

@@ -31,7 +31,7 @@ class _Optima:
     """Which ends of a search IPOPT optimises, and which of the optima count."""
 
     most: Final = 6  # ends for each round of the search
-    can_win: Final = 0.15  # relative excess over the best end up to which an end is optimised
+    can_win: Final = 0.3  # relative excess over the best end up to which an end is optimised
     apart: Final = 0.02  # least distance between them
     # The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
     least_scale: Final = 1e-4

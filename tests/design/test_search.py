@@ -13,7 +13,7 @@ import pytest
 from helpers.scenes import SEROZEM, scene_of
 from helpers.small_designs import design, sticking
 from scipy.optimize import minimize
-from scipy.stats.qmc import Sobol
+from scipy.stats.qmc import Sobol, discrepancy
 
 import plough_opt as po
 from plough_opt.core.checks import check_domain
@@ -22,7 +22,7 @@ from plough_opt.design import confirmation
 from plough_opt.design.confirmation import boxes
 from plough_opt.design.model import ipopt, population, program, tight_integration
 from plough_opt.design.search import effort
-from plough_opt.design.search.landscape import MOST_DIMENSIONS, sobol_points
+from plough_opt.design.search.landscape import even_points
 from plough_opt.expressions import Expression, cos
 
 
@@ -308,10 +308,12 @@ def test_few_steps_and_the_spread_over_tolerances_agree_with_exact_runs():
     assert 0.0 < best.error_estimate < 1e-10
 
 
-@pytest.mark.parametrize("n", [1, 3, MOST_DIMENSIONS, MOST_DIMENSIONS + 1])
-def test_sobol_points_are_those_of_scipy(n):
-    expected = Sobol(n, rng=np.random.default_rng(5)).random(128)
-    assert np.array_equal(sobol_points(n, 128, np.random.default_rng(5)), expected)
+@pytest.mark.parametrize("n", [1, 3, 8])
+def test_sampled_points_are_nearly_as_even_as_those_of_sobol(n):
+    uneven = [discrepancy(even_points(n, 1024, np.random.default_rng(seed)), method="L2-star") for seed in range(5)]
+    sobol = [discrepancy(Sobol(n, rng=np.random.default_rng(seed)).random(1024), method="L2-star") for seed in range(5)]
+    random = discrepancy(np.random.default_rng(5).random((1024, n)), method="L2-star")
+    assert np.mean(uneven) < min(random, 3.0 * np.mean(sobol))
 
 
 def test_the_shortfall_of_an_impossible_radius(build_r1):
@@ -441,14 +443,14 @@ def test_optima_that_derivatives_do_not_confirm(objective, values, wanted, near)
     assert "at its bound" not in str(best)
 
 
-@pytest.mark.parametrize(("search", "size", "frequency", "x"), [("auto", 1e-3, 1e7, 0.0), ("near", 1e-2, 1e6, 0.1)])
-def test_noise_is_not_exploited(search, size, frequency, x):
+def test_noise_is_not_exploited():
+    size, frequency = 1e-3, 1e7
     d, symbol = design(x=(0.1, 0.0, 1.0))
     d.minimise(1.0 + symbol + size * ca.sin(frequency * symbol))
-    best = d.solve(search=search)
-    # Whichever dip of the noise is found, a near search does not step from dip to dip.
-    assert best.variables["x"] == pytest.approx(x, abs=2e-3)
-    assert best.objective <= 1.0 + x + size * math.sin(frequency * x)
+    best = d.solve()
+    # Whichever dip of the noise is found.
+    assert best.variables["x"] == pytest.approx(0.0, abs=2e-3)
+    assert best.objective <= 1.0
     assert best.status in ("solved", "unconfirmed")
 
 

@@ -62,7 +62,8 @@ class Evaluations:
         algorithms").
         """
         infeasible = Violation.infeasible + np.minimum(self.violation, Violation.infeasible)
-        return np.where(np.isfinite(self.f), np.where(self.feasible, self.f, infeasible), np.inf)
+        has_value = np.isfinite(self.f) & np.isfinite(self.violation)
+        return np.where(has_value, np.where(self.feasible, self.f, infeasible), np.inf)
 
     def select(self, which: Any) -> Evaluations:
         """Return the designs at an index, a slice or a mask."""

@@ -22,7 +22,7 @@ class _Polished:
 
     same_basin: Final = 0.05  # An optimum this close to a start, as a fraction of the range, belongs to its basin.
     same_ripple: Final = 0.005
-    higher: Final = 1e-8  # fraction of the objective: IPOPT's tolerance
+    higher: Final = 1e-8  # fraction of the objective, or of its scale if that is larger: IPOPT's tolerance
 
 
 # IPOPT stops with these near an optimum if the objective is rough, as on a needle.
@@ -93,7 +93,7 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
 def acceptance(program: Program, p: Vector, start: Vector) -> Callable[[Point], bool]:
     """Return the function that tells whether a point is solved and counts as no worse than its start."""
     f, g = _values(program, p, start)
-    highest = f + _Polished.higher * abs(f)
+    highest = f + _Polished.higher * max(abs(f), 1.0)
 
     @cache
     def highest_of_all() -> float:

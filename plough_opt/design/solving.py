@@ -193,8 +193,7 @@ def near_optimum(landscape: Landscape, start: Vector) -> tuple[Program, Point]:
         if point.solved and not (guess.solved and point.f > guess.f):
             return program, point
         return program, (polished if guess.solved else from_least_violation)(program, p, start)
-    y = start if landscape(start[None]).feasible[0] else nearest_feasible(landscape, start)
-    y = descend(landscape, y, longest=_NEAR).points[0]
+    y = descend(landscape, nearest_feasible(landscape, start), longest=_NEAR).points[0]
     program = with_sure_steps(program, p, [y])
     return program, polished(program, p, y)
 

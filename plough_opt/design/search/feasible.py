@@ -78,11 +78,13 @@ def feasible_designs(
 
 
 def nearest_feasible(landscape: Landscape, guess: Vector) -> Vector:
-    """Return the feasible design nearest to a scaled guess, as descents from it and from feasible designs find it.
+    """Return a scaled guess, or the feasible design nearest to it, as descents from it and from feasible designs find it.
 
     Raises:
         InfeasibleDesign: no design was found that meets the requirements.
     """
+    if landscape(guess[None]).feasible[0]:
+        return guess
     sampled = landscape(even_points(len(guess), 1024, np.random.default_rng(SEED)))
     others = sampled.points[sampled.feasible]
     others = others[np.argsort(np.sum((others - guess) ** 2, axis=1), kind="stable")]

@@ -21,7 +21,7 @@ from plough_opt.design.model.ipopt import REMEDIES, Point
 from plough_opt.design.search.descent import descend
 from plough_opt.design.search.effort import Search, effort_of, searched
 from plough_opt.design.search.explore import Progress, explore
-from plough_opt.design.search.feasible import feasible_designs
+from plough_opt.design.search.feasible import feasible_designs, nearest_feasible
 from plough_opt.design.search.landscape import SEED, Evaluations, Landscape, Violation, apart, concatenated
 from plough_opt.design.search.polish import point_as_found, polished
 from plough_opt.design.solving import near_optimum
@@ -193,6 +193,13 @@ class Archive:
         ends = ends.distinct(_APART, _MOST_BASINS)
         return ends.select(ends.key <= ends.key[0] + _FOLLOWED * abs(ends.key[0]))
 
+    def near_end(self, p: Array, guess: Array) -> Array:
+        """Return the end of a descent of an objective alone from a guess or the nearest feasible design."""
+        landscape = FrontLandscape(self, p)
+        if not self.vectorised:
+            return near_optimum(landscape, guess)[1].y
+        return np.asarray(descend(landscape, nearest_feasible(landscape, guess)).points[0])
+
     def searched_at(self, p: Array) -> list[Array]:
         """Return the best designs that a short search finds in a subproblem.
 
@@ -358,7 +365,7 @@ class Tracer(ABC):
         if not self.archive.vary:
             self.progress("solving from the guess", 0.0)
             guess = self.front.program.start()
-            starts = [[near_optimum(FrontLandscape(self.archive, p), guess)[1].y] for p in alone]
+            starts = [[self.archive.near_end(p, guess)] for p in alone]
         else:
             starts = [list(self.archive.basin_minima(p).points) for p in alone]
         # The ranges between the starts, which needles are judged by until the anchors are known.

@@ -78,7 +78,7 @@ def feasible_designs(
 
 
 def nearest_feasible(landscape: Landscape, guess: Vector) -> Vector:
-    """Return a scaled guess, or the feasible design nearest to it, as descents from it and from feasible designs find it.
+    """Return a scaled guess, or the feasible design nearest to it that descents from it and from a sample find.
 
     Raises:
         InfeasibleDesign: no design was found that meets the requirements.

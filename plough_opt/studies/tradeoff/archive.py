@@ -22,7 +22,7 @@ from plough_opt.design.search.descent import descend
 from plough_opt.design.search.effort import Search, effort_of, searched
 from plough_opt.design.search.explore import Progress, explore
 from plough_opt.design.search.feasible import feasible_designs, nearest_feasible
-from plough_opt.design.search.landscape import SEED, Evaluations, Landscape, Violation, apart, concatenated
+from plough_opt.design.search.landscape import SEED, Evaluations, Landscape, Violation, apart, concatenated, even_points
 from plough_opt.design.search.polish import point_as_found, polished
 from plough_opt.design.solving import near_optimum
 from plough_opt.studies.tradeoff.front import (
@@ -366,6 +366,10 @@ class Tracer(ABC):
             self.progress("solving from the guess", 0.0)
             guess = self.front.program.start()
             starts = [[self.archive.near_end(p, guess)] for p in alone]
+            if self.front.count > 2 and self.archive.vectorised:
+                # Designs that are nearly best in one objective and good in another are starts of anchors.
+                rng = np.random.default_rng(SEED)
+                self.archive.evaluate(even_points(len(guess), _EDGE_SAMPLE, rng))
         else:
             starts = [list(self.archive.basin_minima(p).points) for p in alone]
         # The ranges between the starts, which needles are judged by until the anchors are known.

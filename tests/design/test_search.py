@@ -49,15 +49,12 @@ def test_all_basins_of_a_multimodal_objective_are_found(waves, seed):
     # Over 1e-7 the objective changes by about 1e-12, which is the optimiser's accuracy.
     assert found[: len(_basins())] == pytest.approx(_basins(), abs=1e-7)
     assert [o.objective for o in best.local_optima] == sorted(o.objective for o in best.local_optima)
-    # From the bottom of a basin, quadratic programs need two or three evaluations of slopes.
-    assert all(optimum.iterations <= 2 for optimum in best.local_optima)
     assert best.name == "optimum 1"
     assert best.search.variables == ("x", "y")
     assert best.search.basins >= len(_basins())
-    # Designs drawn at random reach all of them.
+    # Uniform designs lead to all of them.
     assert best.search.basins >= best.search.reached >= len(_basins())
-    # With other seeds more of them lead to ends that are not known yet, whose number is limited.
-    assert best.search.followed > (100 if seed == 0 else 30)
+    assert best.search.followed > 100
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in (0, 2, 3, 4, 5))])
@@ -124,13 +121,6 @@ def test_a_number_of_designs_and_a_time_are_respected(waves):
     began = time.perf_counter()
     waves.solve(search="0.5 s")
     assert time.perf_counter() - began > 0.5
-
-
-@pytest.mark.parametrize("variables", [1, 2, 3, 4])
-def test_feasible_designs_are_rare_by_their_share_of_the_sample(variables):
-    alone, over_soils = (effort.effort_of("auto", variables, runs, True) for runs in (1, 64))
-    assert alone.rare == alone.population
-    assert over_soils.rare / over_soils.designs == pytest.approx(alone.rare / alone.designs, rel=0.3)
 
 
 @pytest.mark.parametrize("objective", [None, sticking])

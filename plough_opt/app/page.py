@@ -1,11 +1,11 @@
-"""`plough-opt explore`: everything about a file's best share on one HTML page that loads nothing else; animations.
+"""`plough-opt explore`: one HTML page that loads nothing else: a report on the best share, and any other design.
 
-The contents come first, section by section: texts, tables, and the data of the pictures. Pages and commands follow.
+The report shows the tables that commands print, in words and with units of the file. What the page computes itself is
+in `page_model`.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ import numpy as np
 
 from plough_opt.app.page_model import PageModel, design_model, page_model, shown_in, without_random
 from plough_opt.app.panels import Panel, changing, deflection_of, force_of
-from plough_opt.app.tables import ROUNDING, sensitivities_of
+from plough_opt.app.tables import scene_table, sensitivities_of, sensitivity_table
 from plough_opt.core.checks import path_of, whole_number
 from plough_opt.core.errors import InputError, listed
 from plough_opt.core.expressions import as_number
@@ -25,12 +25,11 @@ from plough_opt.core.files import COLOURS, check_file, text_of, write_file
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import versions
-from plough_opt.core.tables import Grid
+from plough_opt.core.tables import Grid, Part
 from plough_opt.core.units import Display
-from plough_opt.design import Design, Limit, Optimum, Progress, Sensitivity
-from plough_opt.laws.forces import cone_index
+from plough_opt.design import Design, Optimum, Progress, Sensitivity
 from plough_opt.motion import Run
-from plough_opt.motion.run import ARRAYS, Machine
+from plough_opt.motion.run import ARRAYS
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem, read_problem
@@ -40,6 +39,78 @@ from plough_opt.soil.geometry import Wedge
 if TYPE_CHECKING:
     from plough_opt.studies.tradeoff import TradeOff
     from plough_opt.studies.tradeoff.front import FrontPoint
+
+
+def explore(
+    question: Problem | str | Path | Scene | Design,
+    path: str | Path,
+    *,
+    duration: float | str | None = None,
+    seed: int = 0,
+) -> Path:
+    """Write the page of a question: its report, and controls that compute any other design in the browser.
+
+    Args:
+        question: a problem, the path of its file, a numeric scene, or a design, which is solved. The page of a design
+            has its variables, parameters, objective and requirements, but not the motions behind them.
+        path: path of the page, ending in .html; an existing file is replaced.
+        duration: simulated time of a scene [s], or a text such as "2 s"; omit it for a periodic orbit and for a
+            problem, which has its own.
+        seed: seed of the search's samples.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: the file has a mistake or an uncertain soil, the scene holds symbols or something that cannot be
+            written as a problem file, the duration is missing or given for another question, the design has no
+            JavaScript form, or the page cannot be written.
+        InfeasibleDesign, NotConverged: as `Design.solve`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.explore("problems/cotton_subsoiler.toml", "out/cotton.html")  # doctest: +SKIP
+    """
+    optional("jinja2")
+    target = check_file(path_of("the page", path), "page", ".html")
+    whole_number("seed", seed)
+    if isinstance(question, Scene):
+        time = None if duration is None else float(as_number(BESIDE["scene.duration"].read(duration)))
+        known = problem_of(question, time, "A scene of Python")
+    elif duration is not None:
+        raise InputError("only a scene needs a duration: leave it out, or change the problem or design")
+    elif isinstance(question, Design):
+        made = f"plough_opt {versions()['plough_opt']}, seed {seed}"
+        text = _design_page(question.solve(seed=seed), design_model(question), "A design of Python", made)
+        return write_file(target, "page", text)
+    else:
+        known = question if isinstance(question, Problem) else read_problem(question)
+    return write_page(known, target, lambda *_: None, seed=seed)
+
+
+def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> Path:
+    """Write the page of a problem; return its path. ``notify`` is told the present step and the fraction done."""
+    if problem.table.uncertain is not None:
+        raise InputError(
+            f"{problem.name}: a report covers one soil: remove the table [uncertain], or use plough-opt optimise"
+        )
+    if problem.variables and not (problem.table.minimise or problem.table.trade_off):
+        raise InputError(f"{problem.name}: nothing to look for: add a table [minimise] or [trade_off]")
+    text = page(replace(reported(problem, notify, seed), provenance=provenance(problem, seed)))
+    return write_file(path, "page", text)
+
+
+def provenance(problem: Problem, seed: int) -> dict[str, str]:
+    """Return heading -> text of everything that identifies how a report was made."""
+    changes = {"changed by --set": "; ".join(problem.overrides)} if problem.overrides else {}
+    return {
+        "file": problem.origin.file,
+        "SHA-256 of the file": problem.origin.sha256,
+        **changes,
+        "seed of the search": str(seed),
+        "written": datetime.now().astimezone().isoformat(sep=" ", timespec="minutes"),
+        "made by": ", ".join(f"{name} {value}" for name, value in versions().items()),
+    }
 
 
 @dataclass(frozen=True)
@@ -72,10 +143,74 @@ class Report:
         """Return an SI value as text in the unit of `display`."""
         return nice(self.display(key, unit, value).text(value, digits))
 
-    @property
-    def results(self) -> dict[str, str]:
-        """Name -> text of the run's averages and peaks, with one unit for each kind of quantity."""
-        return {name: nice(value) for name, value in self.run.response().rows}
+
+def reported(problem: Problem, notify: Progress, seed: int = 0) -> Report:
+    """Return the contents of a report, without its provenance.
+
+    Args:
+        problem: the file.
+        notify: called with the present step in words and the fraction done.
+        seed: seed of the search's samples.
+    """
+    front = problem.trade_off(progress=notify) if problem.variables and problem.table.trade_off else None
+    if problem.variables and problem.table.minimise:
+        best, run = problem.optimise(notify, parameters=True, seed=seed)
+        return Report(problem, run, best, *sensitivities_of(best, notify), front=front)
+    notify("simulating", 0.0)
+    return Report(problem, problem.simulate(None if front is None else _shown(front).variables), front=front)
+
+
+def page(report: Report) -> str:
+    """Return a report as HTML.
+
+    All texts of the file and of the results are escaped. The page's content security policy forbids all requests.
+
+    Raises:
+        InputError: jinja2 is not installed.
+    """
+    model, why = None, ""
+    try:
+        model = page_model(report.problem)
+    except InputError as refusal:
+        why = str(refusal)
+    charts = [_chart(report.run, panel) for panel in changing(report.run)]
+    shown = {"charts": charts, "front": _front(report), "motion": motion(report.run)}
+    sections = {name: [*map(_in_words, parts)] for name, parts in _sections(report).items()}
+    data = shown | {"model": model and _explored(report, model)}
+    return rendered("page.html", report=report, sections=sections, data=data, model=model, why=why)
+
+
+def _sections(report: Report) -> dict[str, Sequence[Part]]:
+    """Return the tables and sentences of each section of the report."""
+    best, front = report.best, report.front
+    response = replace(report.run.response(), title="Averages over the run, and peaks")
+    scene = scene_table(report.problem, report.run.scene, report.problem.fixed, "Fixed in the scene")
+    sections: dict[str, Sequence[Part]] = {
+        "question": _question(report), "answer": [_answer(report)], "warnings": _notes(report),
+        "traded": [] if front is None else front.page().parts, "response": [response], "share": [_dimensions(report)],
+        "accuracy": [_accuracy(report)], "soil": [_soil(report), scene],
+    }  # fmt: skip
+    if best is None:
+        return sections | dict.fromkeys(("design", "search", "sensitivities"), ())
+    design: list[Part] = [*best.design_tables()]
+    design += [best.spread.in_words()] if best.spread is not None else []
+    searched: list[Part] = [str(best.search)] if best.search is not None else []
+    searched += [] if best.bought is None else [best.bought.comparison(best)[0]]
+    searched += [best.optima_table("Local optima found, best first")] if len(best.local_optima) > 1 else []
+    grid = sensitivity_table(report.problem, report.sensitivities)
+    unknown = f"Not available: {report.unknown or 'no quantity changes the objective'}."
+    return sections | {"design": design, "search": searched, "sensitivities": [grid if grid.rows else unknown]}
+
+
+def _in_words(part: Part) -> Part:
+    """Return a table or a sentence with words in place of keys, and quantities for display."""
+    if isinstance(part, str):
+        for key in sorted(EVERY, key=len, reverse=True):
+            part = part.replace(key, EVERY[key].called)
+        return part
+    columns = tuple(replace(column, heading=called(column.heading)) for column in part.columns)
+    rows = [(called(name), *map(nice, cells)) for name, *cells in part.rows]
+    return replace(part, columns=columns, rows=rows)
 
 
 def nice(text: str) -> str:
@@ -84,16 +219,17 @@ def nice(text: str) -> str:
     return re.sub(r" deg\b", "°", text).replace("*", "·").replace(" ", "\u00a0")
 
 
-def answer(report: Report) -> str:
+def _answer(report: Report) -> str:
     """Return the answer as one sentence."""
     best, problem = report.best, report.problem
     if best is None and report.front is not None:
-        ends = [f"{called(goal.name)} from {goal_text(report, k, 0)} to {goal_text(report, k, -1)}"
+        ends = [f"{called(goal.name)} from {_goal(report, k, 0)} to {_goal(report, k, -1)}"
                 for k, goal in enumerate(report.front.goals)]  # fmt: skip
-        shown = f"the {_place_of(report.front)} of the front"
+        shown = f"the {_place(report.front)} of the front"
         return f"{len(report.front.points)} efficient designs: {listed(ends)}. Shown below: {shown}."
     if best is None:
-        return f"This share needs a mean draft of {report.results['mean draft']}."
+        draft = next(cells[1] for cells in report.run.response().rows if cells[0] == "mean draft")
+        return f"This share needs a mean draft of {nice(draft)}."
     values = [f"{called(key)} {nice(v.display.text(best.variables[key], 4))}" for key, v in problem.variables.items()]
     state = {"solved": "Best design", "not unique": "A best design (not unique)"}
     found = f"{state.get(best.status, 'Best design found (not confirmed by derivatives)')}: {', '.join(values)}."
@@ -104,7 +240,7 @@ def answer(report: Report) -> str:
     return f"{found} From the catalogue: {', '.join(made)} (objective {best.bought.cost_in_words})."
 
 
-def question(report: Report) -> list[str]:
+def _question(report: Report) -> list[str]:
     """Return the design question, one text for each paragraph."""
     problem, table = report.problem, report.problem.table
     if report.best is None and report.front is not None:
@@ -115,30 +251,42 @@ def question(report: Report) -> list[str]:
     else:
         terms = [f"{called(name)} in units of {nice(str(term.per))}" for name, term in table.minimise.items()]
         text = [f"Choose {listed([called(key) for key in problem.variables])} to minimise {' plus '.join(terms)}."]
-    limits = [f"{called(name)} {limits_of(problem, name)}" for name in table.require]
+    limits = [f"{called(name)} {nice(limit.words)}" for name, limit in table.require.items()]
     if limits:
         text.append(f"Required: {listed(limits)}.")
     return text
 
 
-def limits_of(problem: Problem, name: str) -> str:
-    """Return a requirement's limits as the file writes them; a requirement not in the file comes from the model."""
-    own = problem.table.require.get(name)
-    return "domain of the theory" if own is None else ", ".join(map(nice, own.words.split(", ")))
+def _notes(report: Report) -> list[str]:
+    """Return all warnings as sentences."""
+    found = [*(report.best.warnings if report.best else ()), *report.run.warnings]
+    if report.best is not None:
+        found = [*filter(None, [report.best.keeping()]), *found]
+        for direction in report.best.flat_directions:
+            names = listed([called(name) for name, change in direction.items() if change])
+            found.append(f"the optimum is not unique: the result does not change along {names}; fix one of these")
+        for name in dict.fromkeys(name for one in report.sensitivities for name in one.touching):
+            found.append(f"{called(name)} is just met: sensitivities apply to increasing values")
+    return [f"{text[:1].upper()}{text[1:]}." for text in dict.fromkeys(found)]
 
 
-def margin_of(limit: Limit) -> tuple[float, float]:
-    """Return the margin of a requirement without its rounding, and as a part of the limit."""
-    margin = 0.0 if limit.active or abs(limit.margin) < ROUNDING else limit.margin
-    return margin, margin / max(abs(limit.value), abs(limit.value + margin), ROUNDING)
+def _shown(front: TradeOff) -> FrontPoint:
+    """Return the point of a front that the page shows: its knee, or one in the middle."""
+    return front.knee or front.points[len(front.points) // 2]
 
 
-def response(report: Report) -> Grid:
-    """Return a table of the averages and peaks of the run."""
-    return Grid.pairs("Averages over the run, and peaks", *report.results.items())
+def _place(front: TradeOff) -> str:
+    return "middle" if front.knee is None else "knee"
 
 
-def share(report: Report) -> Grid:
+def _goal(report: Report, goal: int, point: int) -> str:
+    """Return the value of a traded result at a point of the front."""
+    assert report.front is not None  # the page asks only then
+    axis = report.front.goals[goal]
+    return report.shown(axis.name, float(report.front.objectives[point, goal]), axis.unit)
+
+
+def _dimensions(report: Report) -> Grid:
     """Return a table of the dimensions of the share and of its cone."""
     body, cone = report.run.scene.share, report.run.scene.cone
     assert isinstance(body, Wedge)  # as of every problem file
@@ -157,106 +305,17 @@ def share(report: Report) -> Grid:
     return Grid.pairs("Dimensions", *((name, nice(value)) for name, value in rows))
 
 
-def optima(report: Report) -> Grid | None:
-    """Return a table of the local optima, if there are several."""
-    best = report.best
-    if best is None or len(best.local_optima) < 2:
-        return None
-    keys = report.problem.variables
-    grid = Grid.of("Local optima found, best first", "", "objective", *map(called, keys))
-    for one in best.local_optima:
-        values = (nice(v.display.result(one.variables[key])) for key, v in keys.items())
-        grid.row(one.name, f"{one.objective:.6g}", *values)
-    return grid
-
-
-def bought(report: Report) -> Grid | None:
-    """Return a table of the best design in catalogue values, if the file has catalogues."""
-    best = report.best
-    if best is None or best.bought is None:
-        return None
-    grid, _ = best.bought.comparison(best)
-    grid.rows = [(called(name), *map(nice, cells)) for name, *cells in grid.rows]
-    return grid
-
-
-def shown_of(front: TradeOff) -> FrontPoint:
-    """Return the point of a front that the page shows: its knee, or one in the middle."""
-    return front.knee or front.points[len(front.points) // 2]
-
-
-def _place_of(front: TradeOff) -> str:
-    return "middle" if front.knee is None else "knee"
-
-
-def goal_text(report: Report, goal: int, point: int) -> str:
-    """Return the value of a traded result at a point of the front."""
-    assert report.front is not None  # the page asks only then
-    axis = report.front.goals[goal]
-    return report.shown(axis.name, float(report.front.objectives[point, goal]), axis.unit)
-
-
-def traded(report: Report) -> list[Grid | str]:
-    """Return the table of the front, and sentences on its holes and its knee."""
-    return [] if report.front is None else list(report.front.page().parts)
-
-
-def front(report: Report) -> list[dict[str, Any]]:
-    """Return a chart of a front of two results."""
-    found = report.front
-    if found is None or len(found.goals) != 2:
-        return []
-    axes = [report.display(goal.name, goal.unit, *found.objectives[:, k]) for k, goal in enumerate(found.goals)]
-    columns = [found.objectives[:, k] / axis.factor for k, axis in enumerate(axes)]
-    x, y = ({"label": called(goal.name), "unit": _unit(axis)} for goal, axis in zip(found.goals, axes, strict=True))
-    groups = [_group("efficient", _BLUE, 7, *columns)]
-    if found.knee is not None:
-        place = found.points.index(found.knee)
-        groups.append(_group("knee", _RED, 12, *([one[place]] for one in columns)))
-    says = f"{y['label']} over {x['label']} of {len(found.points)} efficient designs."
-    return [{"id": "front", "title": "Front", "says": says, "x": x, "y": y, "groups": groups}]
-
-
-def scene(report: Report) -> Grid:
-    """Return a table of the fixed quantities and effects of the scene."""
-    fixed = report.problem.fixed
-    rows = [
-        (called(key), report.shown(key, x, EVERY[key].unit)) for key, x in fixed.items() if EVERY[key].owner != "soil"
-    ]
-    effects = report.problem.table.effects
-    rows += [("contact", effects.contact.replace("_", " and ")), ("start", effects.start)]
-    if effects.orbit != "transient":
-        rows.append(("orbit", effects.orbit.replace("_", " ")))
-    return Grid.pairs("Fixed in the scene", *rows)
-
-
-def soil(report: Report) -> Grid:
+def _soil(report: Report) -> Grid:
     """Return a table of the properties of the soil."""
-    own = report.run.scene.soil
-    rows = []
+    soil, rows = report.run.scene.soil, []
     for name, quantity in QUANTITIES.items():
-        value = getattr(own, quantity.key, None) if quantity.owner == "soil" else None
+        value = getattr(soil, quantity.key, None) if quantity.owner == "soil" else None
         if value is not None:
             rows.append((quantity.meaning, report.shown(name, float(value), quantity.unit, 5)))
-    if not report.run.scene.law.lacks("cone_index"):
-        rows.append(("cone index of a penetrometer", nice(f"{float(cone_index(own)) / 1e3:.4g} kPa")))
-        share = 100.0 * float(report.run.scene.ambient_share)
-        rows.append(("part of the static draft due to ambient pressure", f"{share:.0f} %"))
-    return Grid.pairs(own.name, *rows)
+    return Grid.pairs(soil.name, *rows)
 
 
-def sensitivities(report: Report) -> list[Sensitivity]:
-    """Return the sensitivities to each quantity or limit that changes the objective, the largest first."""
-    return [one for one in report.sensitivities if one.elasticity is not None and abs(one.elasticity) > ROUNDING]
-
-
-def moves(one: Sensitivity) -> str:
-    """Return in words what one per cent more does to the variables."""
-    moved = [(name, x) for name, x in one.elasticities.items() if x is not None and abs(x) > ROUNDING]
-    return ", ".join(f"{called(name)} {x:+.2g}\u00a0%" for name, x in moved)
-
-
-def accuracy(report: Report) -> Grid:
+def _accuracy(report: Report) -> Grid:
     """Return a table of error estimates and computing times."""
     run, best = report.run, report.best
     rows = [
@@ -273,42 +332,11 @@ def accuracy(report: Report) -> Grid:
     return Grid.pairs("Errors and computing times", *rows)
 
 
-def notes(report: Report) -> list[str]:
-    """Return all warnings as sentences."""
-    found = [*(report.best.warnings if report.best else ()), *report.run.warnings]
-    if report.best is not None:
-        found = [*filter(None, [report.best.keeping()]), *found]
-        for direction in report.best.flat_directions:
-            names = listed([called(name) for name, change in direction.items() if change])
-            found.append(f"the optimum is not unique: the result does not change along {names}; fix one of these")
-        for name in dict.fromkeys(name for one in report.sensitivities for name in one.touching):
-            found.append(f"{called(name)} is just met: sensitivities apply to increasing values")
-    return [f"{text[:1].upper()}{text[1:]}." for text in dict.fromkeys(found)]
-
-
-def searched(report: Report) -> str:
-    """Return a sentence on the search, or ""."""
-    text = "" if report.best is None or report.best.search is None else str(report.best.search)
-    for key in sorted(EVERY, key=len, reverse=True):
-        text = text.replace(key, EVERY[key].called)
-    return text
-
-
-def place(value: float, lower: float, upper: float, log: bool) -> float:
-    """Return the position of a value between bounds, from 0 to 1."""
-    if log:
-        value, lower, upper = math.log(value), math.log(lower), math.log(upper)
-    return (value - lower) / (upper - lower)
-
+# --- data of the pictures and controls -------------------------------------------------------------------------
 
 _BLUE, _RED, _GREEN, _PURPLE = COLOURS[:4]
 # Significant digits of the data: more than a screen resolves.
 _DIGITS: Final = 6
-
-
-def charts(report: Report) -> list[dict[str, Any]]:
-    """Return the charts of force, deflection and speed over time, except those that are constant."""
-    return [_chart(report.run, panel) for panel in changing(report.run)]
 
 
 def _chart(run: Run, panel: Panel) -> dict[str, Any]:
@@ -326,8 +354,8 @@ def _chart(run: Run, panel: Panel) -> dict[str, Any]:
         band = mean - rms, mean + rms
     return {
         "id": panel.name,
-        "title": _sentence(panel.name),
-        "says": f"{_sentence(panel.name)} over {run.duration:.3g} s: {'; '.join(extremes)}.",
+        "title": panel.name.capitalize(),
+        "says": f"{panel.name.capitalize()} over {run.duration:.3g} s: {'; '.join(extremes)}.",
         "x": {"label": "time", "unit": "s", "values": _short(run.time)},
         "y": {"label": panel.name, "unit": _unit(unit)},
         "series": [
@@ -368,63 +396,25 @@ def motion(run: Run) -> dict[str, Any]:
     }
 
 
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}"
+def _front(report: Report) -> list[dict[str, Any]]:
+    """Return a chart of a front of two results."""
+    found = report.front
+    if found is None or len(found.goals) != 2:
+        return []
+    axes = [report.display(goal.name, goal.unit, *found.objectives[:, k]) for k, goal in enumerate(found.goals)]
+    columns = [found.objectives[:, k] / axis.factor for k, axis in enumerate(axes)]
+    x, y = ({"label": called(goal.name), "unit": _unit(axis)} for goal, axis in zip(found.goals, axes, strict=True))
+    groups = [_group("efficient", _BLUE, 7, *columns)]
+    if found.knee is not None:
+        place = found.points.index(found.knee)
+        groups.append(_group("knee", _RED, 12, *([one[place]] for one in columns)))
+    says = f"{y['label']} over {x['label']} of {len(found.points)} efficient designs."
+    return [{"id": "front", "title": "Front", "says": says, "x": x, "y": y, "groups": groups}]
 
 
-def _unit(display: Display) -> str:
-    """Return the symbol of a unit for an axis."""
-    return nice(f" {display.symbol}").strip("\u00a0")
-
-
-def _short(values: Iterable[float]) -> list[float]:
-    """Return numbers rounded to the digits that a picture can show."""
-    return [float(f"{value:.{_DIGITS}g}") for value in np.asarray(values, dtype=float).ravel()]
-
-
-# Name in the template -> function.
-_CONTENT: Final = {
-    part.__name__: part
-    for part in (
-        accuracy, answer, bought, called, limits_of, margin_of, moves, nice, notes, optima, place, question, response,
-        scene, searched, sensitivities, share, soil, traded,
-    )
-}  # fmt: skip
-
-
-def page(report: Report) -> str:
-    """Return a report as HTML.
-
-    All texts of the file and of the results are escaped. The page's content security policy forbids all requests.
-
-    Raises:
-        InputError: jinja2 is not installed.
-    """
-    model, why = None, ""
-    try:
-        model = page_model(report.problem)
-    except InputError as refusal:
-        why = str(refusal)
-    drawn = {"charts": charts(report), "front": front(report), "motion": motion(report.run)}
-    shown = drawn | {"model": model and explored(report, model)}
-    return rendered("page.html", report=report, c=_CONTENT, data=shown, model=model, why=why)
-
-
-def design_page(best: Optimum, model: PageModel, title: str, made: str) -> str:
-    """Return the page of a design as HTML; ``made`` identifies how it was made.
-
-    Raises:
-        InputError: jinja2 is not installed.
-    """
-    optima = [_marks("other optima", _GREEN, [one.variables for one in best.local_optima[1:]])]
-    known = {"marks": optima, "best": best.variables, "error": max(best.gap, best.error_estimate)}
-    shown = {"charts": [], "front": [], "model": model.data | known}
-    return rendered("design.html", title=title, best=best, made=made, data=shown, model=model)
-
-
-def explored(report: Report, model: PageModel) -> dict[str, Any]:
+def _explored(report: Report, model: PageModel) -> dict[str, Any]:
     """Return what the page's controls must know: its model, the best design, the file, and units over time."""
-    problem, best, knee = report.problem, report.best, report.front and shown_of(report.front)
+    problem, best, knee = report.problem, report.best, report.front and _shown(report.front)
     panels = {panel.name: {"label": panel.name, "rows": [next(iter(panel.lines)).replace(" ", "_")],
                            **shown_in(panel.unit)}
               for panel in (force_of(report.run), deflection_of(report.run))}  # fmt: skip
@@ -436,7 +426,7 @@ def explored(report: Report, model: PageModel) -> dict[str, Any]:
         **model.data,
         "results": results,
         "best": best.variables if best else knee.variables if knee else {},
-        "known": "best" if best else _place_of(report.front) if report.front else "file",
+        "known": "best" if best else _place(report.front) if report.front else "file",
         "marks": [
             _marks("other optima", _GREEN, [one.variables for one in (best.local_optima[1:] if best else ())]),
             _marks("front", _PURPLE, [one.variables for one in (report.front.points if report.front else ())]),
@@ -460,6 +450,21 @@ def _marks(label: str, colour: str, designs: Sequence[Mapping[str, float]]) -> d
     return {"label": label, "colour": colour, "designs": [dict(one) for one in designs]}
 
 
+def _design_page(best: Optimum, model: PageModel, title: str, made: str) -> str:
+    """Return the page of a design as HTML; ``made`` identifies how it was made."""
+    optima = [_marks("other optima", _GREEN, [one.variables for one in best.local_optima[1:]])]
+    known = {"marks": optima, "best": best.variables, "error": max(best.gap, best.error_estimate)}
+    shown = {"charts": [], "front": [], "model": model.data | known}
+    return rendered(
+        "design.html",
+        title=title,
+        best=best,
+        made=made,
+        data=shown,
+        model=model,
+    )
+
+
 def rendered(name: str, **values: Any) -> str:
     """Return a template of the folder `assets` as HTML; InputError without jinja2."""
     jinja = optional("jinja2")
@@ -474,107 +479,11 @@ def asset(name: str) -> str:
     return text_of("plough_opt.app", f"assets/{name}")
 
 
-# --- commands and files ---
+def _unit(display: Display) -> str:
+    """Return the symbol of a unit for an axis."""
+    return nice(f" {display.symbol}").strip("\u00a0")
 
 
-def explore(
-    question: Problem | str | Path | Scene | Design,
-    path: str | Path,
-    *,
-    duration: float | str | None = None,
-    seed: int = 0,
-) -> Path:
-    """Write the page of a question: its report, and controls that compute any other design in the browser.
-
-    Args:
-        question: a problem, the path of its file, a numeric scene, or a design, which is solved. The page of a design
-            has its variables, parameters, objective and requirements, but not the motions behind them.
-        path: path of the page, ending in .html; an existing file is replaced.
-        duration: simulated time of a scene [s], or a text such as "2 s"; omit it for a periodic orbit and for a
-            problem, which has its own.
-        seed: seed of the search's samples.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: the file has a mistake, an uncertain soil, the scene
-            holds symbols or something that cannot be written as a problem file, the duration is missing or given for
-            another question, the design has no JavaScript form, or the page cannot be written.
-        InfeasibleDesign, NotConverged: as `Design.solve`.
-
-    Example:
-        >>> import plough_opt as po
-        >>> po.explore("problems/cotton_subsoiler.toml", "out/cotton.html")  # doctest: +SKIP
-    """
-    optional("jinja2")
-    target = check_file(path_of("the page", path), "page", ".html")
-    whole_number("seed", seed)
-    if isinstance(question, Scene):
-        time = None if duration is None else float(as_number(BESIDE["scene.duration"].read(duration)))
-        known = problem_of(question, time, "A scene of Python")
-    elif duration is not None:
-        raise InputError("only a scene needs a duration: leave it out, or change the problem or design")
-    elif isinstance(question, Design):
-        model = design_model(question)
-        text = design_page(question.solve(seed=seed), model, "A design of Python", _made(seed))
-        return write_file(target, "page", text)
-    else:
-        known = question if isinstance(question, Problem) else read_problem(question)
-    return write_page(known, target, lambda *_: None, seed=seed)
-
-
-def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> Path:
-    """Write the page of a problem; return its path. ``notify`` is told the present step and the fraction done."""
-    _check(problem)
-    text = page(replace(reported(problem, notify, seed), provenance=provenance(problem, seed)))
-    return write_file(path, "page", text)
-
-
-def _made(seed: int) -> str:
-    return f"plough_opt {versions()['plough_opt']}, seed {seed}"
-
-
-def _check(problem: Problem) -> None:
-    """Raise InputError for a file that a report does not cover."""
-    if problem.table.uncertain is not None:
-        raise InputError(
-            f"{problem.name}: a report covers one soil: remove the table [uncertain], or use plough-opt optimise"
-        )
-    if problem.variables and not (problem.table.minimise or problem.table.trade_off):
-        raise InputError(f"{problem.name}: nothing to look for: add a table [minimise] or [trade_off]")
-
-
-def provenance(problem: Problem, seed: int) -> dict[str, str]:
-    """Return heading -> text of everything that identifies how a report was made."""
-    changes = {"changed by --set": "; ".join(problem.overrides)} if problem.overrides else {}
-    return {
-        "file": problem.origin.file,
-        "SHA-256 of the file": problem.origin.sha256,
-        **changes,
-        "seed of the search": str(seed),
-        "written": datetime.now().astimezone().isoformat(sep=" ", timespec="minutes"),
-        "made by": ", ".join(f"{name} {value}" for name, value in versions().items()),
-    }
-
-
-def reported(problem: Problem, notify: Progress, seed: int = 0) -> Report:
-    """Return the contents of a report on one share, without its provenance.
-
-    Args:
-        problem: the file.
-        notify: called with the present step in words and the fraction done.
-        seed: seed of the search's samples.
-    """
-    best, unknown = None, ""
-    run: Run | Machine
-    sensitivities: tuple[Sensitivity, ...] = ()
-    traded = problem.variables and problem.table.trade_off
-    front = problem.trade_off(progress=notify) if traded else None
-    if problem.variables and problem.table.minimise:
-        best, run = problem.optimise(notify, parameters=True, seed=seed)
-        sensitivities, unknown = sensitivities_of(best, notify)
-    else:
-        notify("simulating", 0.0)
-        run = problem.simulate(None if front is None else shown_of(front).variables)
-    return Report(problem, run, best, sensitivities, unknown, front=front)
+def _short(values: Iterable[float]) -> list[float]:
+    """Return numbers rounded to the digits that a picture can show."""
+    return [float(f"{value:.{_DIGITS}g}") for value in np.asarray(values, dtype=float).ravel()]

@@ -60,7 +60,7 @@ def soils_page(soils: Sequence[Soil]) -> Page:
 def run_page(problem: Problem, run: Run) -> Page:
     """Return the page of a numeric run with its scene."""
     page = run.page()
-    return replace(page, parts=(_scene_table(problem, run.scene), *page.parts, *further_results(problem, run)))
+    return replace(page, parts=(_whole_scene(problem, run.scene), *page.parts, *further_results(problem, run)))
 
 
 def further_results(problem: Problem, run: Run) -> tuple[Grid, ...]:
@@ -81,7 +81,7 @@ def check_page(problem: Problem, drafts: Mapping[str, Mapping[str, Any]]) -> Pag
         drafts: its `drafts_by_law`.
     """
     scene = problem.scene()
-    parts: list[Part] = [_scene_table(problem, scene), _simulated(problem, scene), _laws_table(drafts)]
+    parts: list[Part] = [_whole_scene(problem, scene), _simulated(problem, scene), _laws_table(drafts)]
     if problem.variables:
         verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
         counts = f"{len(problem.variables)} variables, {len(problem.table.require)} requirements"
@@ -172,14 +172,16 @@ def _laws_table(drafts: Mapping[str, Mapping[str, Any]]) -> Grid:
     return table
 
 
-def _scene_table(problem: Problem, scene: Scene) -> Grid:
-    """Return a table of the quantities of a scene."""
+def scene_table(problem: Problem, scene: Scene, values: Mapping[str, Any], title: str) -> Grid:
+    """Return a table of some quantities of a scene, key -> SI value, and of what follows from them."""
     rows = [("soil", scene.soil.name)]
     if not scene.law.lacks("cone_index"):
         rows.append(("cone index", problem.readings or f"{float(cone_index(scene.soil)) / 1e3:.4g} kPa"))
-    for key, value in problem.values().items():
+    for key, value in values.items():
         if not key.startswith("soil."):
             rows.append((key, shown(problem, key, float(value), quantities()[key].symbol)))
+    effects = problem.table.effects
+    rows += [(name, getattr(effects, name).replace("_", " ")) for name in ("contact", "start", "orbit")]
     rows.append(("half angle of the equivalent cone", customary("rad").text(float(scene.cone.half_angle))))
     rows.append(("moving mass with the share", f"{float(scene.mass):.5g} kg"))
     if not scene.law.lacks("added_mass"):
@@ -188,7 +190,12 @@ def _scene_table(problem: Problem, scene: Scene) -> Grid:
         rows.append(("part of the static draft due to ambient pressure", f"{100.0 * float(scene.ambient_share):.0f} %"))
     if scene.medium != "plastic":
         rows.append(("law of resistance", scene.law.label))
-    return Grid.pairs("Scene, variables at their guesses" if problem.variables else "Scene", *rows)
+    return Grid.pairs(title, *rows)
+
+
+def _whole_scene(problem: Problem, scene: Scene) -> Grid:
+    title = "Scene, variables at their guesses" if problem.variables else "Scene"
+    return scene_table(problem, scene, problem.values(), title)
 
 
 def sensitivities_of(best: Optimum, notify: Progress) -> tuple[tuple[Sensitivity, ...], str]:
@@ -201,9 +208,16 @@ def sensitivities_of(best: Optimum, notify: Progress) -> tuple[tuple[Sensitivity
 
 
 def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity]) -> Page:
-    """Return a page extended by a table of elasticities and of the range over which the same limits are active."""
+    """Return a page extended by the sensitivities, if there are any."""
     if not found:
         return page
+    met = dict.fromkeys(name for item in found for name in item.touching)
+    notes = (f"{name} is just met: the figures apply to increasing values" for name in met)
+    return replace(page, parts=(*page.parts, sensitivity_table(problem, found)), notes=(*page.notes, *notes))
+
+
+def sensitivity_table(problem: Problem, found: Sequence[Sensitivity]) -> Grid:
+    """Return a table of elasticities and of the range over which the same limits are active."""
     names = [key.rpartition(".")[2] for key in problem.variables]
     table = Grid.of(
         "Change of the optimum in per cent for one per cent more; range in which the same limits stay active",
@@ -214,9 +228,7 @@ def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity
         key = item.name.partition(" ")[0]
         ends = [_end(problem, key, item, end) for end in (item.valid_from, item.valid_to)]
         table.row(item.name, shown(problem, key, item.value, item.unit), *moves, *ends)
-    met = dict.fromkeys(name for item in found for name in item.touching)
-    notes = (f"{name} is just met: the figures apply to increasing values" for name in met)
-    return replace(page, parts=(*page.parts, table), notes=(*page.notes, *notes))
+    return table
 
 
 def _percent(elasticity: float | None) -> str:

@@ -67,7 +67,7 @@ def test_the_page_says_what_was_asked_and_found(written, solved):
     for section, words in {
         "question": ["mean draft in units of 1 kN plus RMS of the mount force"],
         "answer": [f"stiffness {best.variables['scene.stiffness'] / 1e3:.4g} kN/m", f"{run.mean_draft / 1e3:.4g} kN"],
-        "requirements": [f"{100 * best.margins['deflection'] / 0.12:.3g} % to spare"],
+        "design": [f"{best.margins['deflection']:.3g} m", "10 kN/m to 1000 kN/m"],
         "soil": ["Syrdarya"],
         "provenance": ["share.wedge_angle=39 deg; share.height=0.26 m"],
         "warnings": ["carries", "hold within 25 %", "factor of up to 3.3", "Nothing has been validated in a field"],
@@ -76,9 +76,9 @@ def test_the_page_says_what_was_asked_and_found(written, solved):
     }.items():
         assert [one for one in words if one not in found[section]] == []
     for name, margin in best.margins.items():
-        assert name.replace("_", " ") in found["requirements"]
+        assert name.replace("_", " ") in found["design"]
         shown = 0.0 if abs(margin) < 1e-9 else math.degrees(margin) if name == "half_angle" else margin
-        assert f"{shown:.3g}" in found["requirements"]
+        assert f"{shown:.3g}" in found["design"]
     assert "strength_wave" not in re.sub(r"<pre>.*?</pre>", "", text, flags=re.DOTALL).partition('id="data"')[0]
 
 
@@ -131,7 +131,7 @@ def test_a_share_without_variables_that_does_not_move_has_no_empty_pictures():
     assert "Nothing changes over time" in found.text["response"]
     assert data_of(text)["charts"] == []
     assert "This share needs a mean draft of" in found.text["answer"]
-    assert "requirements" not in found.text
+    assert "design" not in found.text
 
 
 def test_an_orbit_under_another_law_whose_optimum_is_not_unique(tmp_path):
@@ -149,10 +149,7 @@ def test_an_orbit_under_another_law_whose_optimum_is_not_unique(tmp_path):
     assert re.search("the result does not change along (share height and )?stiffness", found["warnings"])
     assert ("periodic" in found["soil"], "cone index" in found["soil"]) == (True, False)
     assert "Section of the equivalent cone;" in text  # nothing is compacted
-    assert '"margin">0\u00a0kN<' in text  # of the limit that decides, whatever the optimiser's rounding
-    height = float(re.search(r"share height ([0-9.]+) m", found["answer"])[1])
-    place = float(re.search(r"left:([0-9.]+)%", text)[1])
-    assert place == pytest.approx(100.0 * (height - 0.1) / 0.4, abs=0.0175)  # 0.1 to 0.5 m; both are rounded
+    assert ">0\u00a0kN<" in text  # the margin of the limit that decides, whatever the optimiser's rounding
 
 
 def test_a_limit_that_is_just_met_is_named(solved):

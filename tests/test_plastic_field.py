@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise, product
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ import pytest
 from helpers import high_precision as hp
 from helpers.high_precision import mp
 from helpers.precise_field import Constant, Field
+from helpers.refusals import refusals
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
@@ -214,18 +215,6 @@ def test_the_error_falls_exponentially_and_its_estimate_is_reliable(name, cavity
     assert np.all(estimate[~above] < 1e-13)
 
 
-@pytest.mark.parametrize("order", [4, 8])
-def test_the_error_is_estimated_up_to_the_front(order):
-    # The front of the finer quadrature may be slightly nearer, so that the coarse front lies ahead of it.
-    soil, exact = ground("bell").soil(order), ground("bell").field(STEADY.radius, STEADY.rate, STEADY.acceleration)
-    front = plastic.front_radius(STEADY, soil)
-    off = abs(front / float(exact.front) - 1.0)
-    assert off > 1e-8
-    estimate = plastic.quadrature_error(np.linspace(0.0, front, 5), STEADY, soil)
-    assert 0.1 * off < estimate < 10.0 * off
-    assert plastic.quadrature_error(0.0, STEADY, po.named_soil("serozem")) == 0.0
-
-
 # --- profiles that are refused, or lack a compaction front ---
 
 
@@ -259,13 +248,6 @@ def test_a_profile_that_cannot_hold_the_soil_of_a_cavity_has_no_front(density, r
             getattr(plastic, quantity)(Cavity(radius, 0.5, 3.0), PLAIN.with_density_profile(density, order=order))
 
 
-def test_a_profile_below_the_undisturbed_density_somewhere_behind_the_front_is_refused():
-    soil = PLAIN.with_density_profile(lambda r: 1349.0 + 4000.0 * r)
-    words = f"at 0 of the front radius over the undisturbed density = {1349 / 1350:.6g} must be above 1: .* compacted"
-    with pytest.raises(po.DomainError, match=words):
-        plastic.stress(0.01, STEADY, soil)
-
-
 @pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
 def test_an_expression_without_a_front_has_no_value(symbol):
     radius = symbol.sym("R")
@@ -286,35 +268,28 @@ def test_the_front_is_found_up_to_the_largest_cavity(filled):
     assert found == pytest.approx(wanted, rel=1e-15 / (1.0 - filled) + 1e-14)
 
 
-INVALID_PROFILES = [
-    *((falling, order, f"order = {order!r} must be a whole number of at least 1") for order in (0, 2.5, "16", None)),
-    *((density, 16, f"{density!r}.* a function of the radius, in kg/m") for density in (1700.0, "rho")),
-]
-
-
-@pytest.mark.parametrize(("density", "order", "words"), INVALID_PROFILES)
-def test_invalid_profiles_are_refused(density, order, words):
-    with pytest.raises(po.InputError, match=words):
-        PLAIN.with_density_profile(density, order=order)
-
-
-def test_the_wall_pressure_needs_a_cavity():
-    soil, none = ground("bell").soil(8), Cavity(0.0, 0.5, 0.0)
-    with pytest.raises(po.InputError, match="give its radius"):
-        plastic.wall_pressure(soil)
-    for name in ("front_speed", "surface_pressure", *OF_RADIUS):
-        with pytest.raises(po.DomainError, match="radius = 0 m must be above 0 m"):
-            getattr(plastic, name)(*([0.0] if name in OF_RADIUS else []), none, soil)
+FADED = f"over the undisturbed density = {1349 / 1350:.6g} must be above 1: .* compacted"
+FADING, AXIS = PLAIN.with_density_profile(lambda r: 1349.0 + 4000.0 * r), Cavity(0.0, 0.5, 0.0)
+BELL = ground("bell").soil(8)
+test_profiles_and_cavities_without_a_field_are_refused = refusals(
+    (po.InputError, po.DomainError),
+    (lambda: plastic.stress(0.01, STEADY, FADING), FADED),
+    *((partial(PLAIN.with_density_profile, falling, order=n), "order = .* whole number") for n in (0, 2.5, "16", None)),
+    (lambda: PLAIN.with_density_profile("rho"), "'rho'.* a function of the radius, in kg/m"),
+    (lambda: plastic.wall_pressure(BELL), "give its radius"),
+    (lambda: plastic.front_speed(AXIS, BELL), "radius = 0 m must be above 0 m"),
+    (lambda: plastic.surface_pressure(AXIS, BELL), "radius = 0 m must be above 0 m"),
+    *((partial(getattr(plastic, name), 0.0, AXIS, BELL), "radius = 0 m must be above 0 m") for name in OF_RADIUS),
+    (lambda: plastic.quadrature_error(ca.SX.sym("r"), STEADY, BELL), "holds symbols"),
+)
 
 
 @pytest.mark.parametrize(("r", "words"), [(-0.01, "at least 0 m"), (0.5, "over front radius")])
-@pytest.mark.parametrize("soil", [ground("bell").soil(8), PLAIN], ids=["profile", "constant"])
+@pytest.mark.parametrize("soil", [BELL, PLAIN], ids=["profile", "constant"])
 def test_radii_outside_the_field_are_refused(soil, r, words):
     for name in (*OF_RADIUS, *(["quadrature_error"] if soil is not PLAIN else [])):
         with pytest.raises(po.DomainError, match=words):
             getattr(plastic, name)(r, STEADY, soil)
-    with pytest.raises(po.InputError, match="holds symbols"):
-        plastic.quadrature_error(ca.SX.sym("r"), STEADY, ground("bell").soil(8))
 
 
 # --- the uniform field, against 120 digits of the textbook's formulas ---

@@ -329,7 +329,8 @@ def test_the_quoted_draft_and_band_match_the_command():
         float, re.findall(r"^([\d.]+) kN beside ([\d.]+) to ([\d.]+) kN", TEXTS["soils"], flags=re.MULTILINE)[0]
     )
     scene = po.read_problem(ROOT / "problems" / "field.toml").scene()
-    draft = po.laws.asabe_draft(0.45, 5 / 3.6, "fine")
+    at = po.ShareInSoil(scene.share, scene.cone, scene.soil, 5 / 3.6)
+    draft = po.laws.AsabeD497("fine", depth=0.45).reaction(at).at(at.speed)
     shown = (dataclasses.replace(scene, tow_speed=5 / 3.6).steady_resistance, 0.5 * draft, 1.5 * draft)
     assert (own, low, high) == pytest.approx([value / 1e3 for value in shown], abs=0.05)
 

@@ -49,8 +49,8 @@ def test_texts_pint_quantities_and_si_numbers_make_the_same_scene():
 
 
 def test_dimensions_of_tines_may_have_a_unit():
-    tine = po.laws.Tine("6 cm", 0.3 * U.m, "45 deg", surcharge="1 kPa")
-    assert dataclasses.astuple(tine) == pytest.approx((0.06, 0.3, po.deg(45), 1e3, 0.0), rel=1e-15)
+    tine = po.laws.McKyesAli(width="6 cm", depth=0.3 * U.m, rake_angle="45 deg", surcharge="1 kPa").tine(IN_SOIL)
+    assert tuple(tine) == pytest.approx((0.06, 0.3, po.deg(45), 1e3, 0.0), rel=1e-15)
     drafts = [scene_of(medium=po.laws.AsabeD497(depth=depth)).steady_resistance for depth in (0.3, "30 cm")]
     assert drafts[1] == pytest.approx(drafts[0], rel=1e-15)
 
@@ -167,6 +167,7 @@ def test_durations_bounds_and_limits_accept_texts_and_pint():
 
 SOIL = po.named_soil("serozem")
 CONE = po.Cone(0.2, 0.25)
+IN_SOIL = po.ShareInSoil(CONE, CONE, SOIL, 1.0)
 NODES = [(0.0, 0.0), (0.5, 0.05)]
 LINE = np.arange(40.0)
 
@@ -250,7 +251,7 @@ TAKES = {
     "stiffness": (2e9, lambda x: scene_of(stiffness=x).natural_frequency),
     "tow speed": (1e9, lambda x: scene_of(tow_speed=x).steady_resistance),
     "elastic speed": (30, lambda x: po.elastic.wedge_force(NODES, SOIL, x)),
-    "width of a tine": (1e5, lambda x: po.laws.godwin_draft(SOIL, po.laws.Tine(x, x, 1.0, adhesion=x), 1.0)),
+    "width of a tine": (1e5, lambda x: po.laws.UniversalEarthmoving(x, x, 1.0, adhesion=x).reaction(IN_SOIL).static),
 }
 
 

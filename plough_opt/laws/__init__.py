@@ -8,25 +8,14 @@ from typing import Final
 
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
-from plough_opt.laws.cones import ElasticMedium, SphericalCavity, spherical_cavity_draft
+from plough_opt.laws.cones import ElasticMedium, SphericalCavity
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
-from plough_opt.laws.tines import (
-    AsabeD497,
-    McKyesAli,
-    SwickPerumpral,
-    Tine,
-    UniversalEarthmoving,
-    asabe_draft,
-    godwin_draft,
-    mckyes_ali_draft,
-    swick_perumpral_draft,
-)
+from plough_opt.laws.tines import AsabeD497, McKyesAli, SwickPerumpral, UniversalEarthmoving
 
 __all__ = [
     "LAWS", "AsabeD497", "ElasticMedium", "McKyesAli", "PlasticGas", "ResistanceLaw", "ShareInSoil", "SoilReaction",
-    "SphericalCavity", "SwickPerumpral", "Tine", "UniversalEarthmoving", "asabe_draft", "godwin_draft", "law_of",
-    "mckyes_ali_draft", "spherical_cavity_draft", "swick_perumpral_draft",
+    "SphericalCavity", "SwickPerumpral", "UniversalEarthmoving", "law_of",
 ]  # fmt: skip
 
 LAWS: Final[dict[str, type[ResistanceLaw]]] = {

@@ -5,15 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from plough_opt.core.checks import check_domain, limited_in_designs
+from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, cos, expm1_ratio, log, sin, sqrt
 from plough_opt.laws.forces import check_cone
 from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.elastic import cone_force
-from plough_opt.soil.geometry import Cone
 from plough_opt.soil.soil import Soil, check_soil
-
-_LABEL = "the spherical cavity (Forrestal-Luk)"
 
 
 @dataclass(frozen=True)
@@ -72,15 +69,16 @@ class ElasticMedium(ResistanceLaw):
 
 @dataclass(frozen=True)
 class SphericalCavity(ResistanceLaw):
-    """`spherical_cavity_draft` as a law: F0 and Fd of the equivalent cone, without added mass and loosened radius.
+    """Pressure on a spherical cavity that grows behind a compaction front: F0 and Fd of the equivalent cone.
 
-    The pressure on a spherical cavity that grows behind a compaction front, after Forrestal and Luk, Int. J. Impact
-    Engineering 12 (1992) 427-444, derived anew in that form. It was made for projectiles; no test against tillage is
-    known. It holds while elastic strains at the front stay below 5 % and the front is slower than elastic waves, and
-    ignores working depth, the free surface and the shank. It has no arguments.
+    F = pi R^2 (tau0 A + B rho0 (V sin beta)^2)(1 + mu0 cot beta), R = h tan(beta): the face pushes the soil at
+    V sin(beta) along its normal, as in penetration mechanics. After Forrestal and Luk, Int. J. Impact Engineering 12
+    (1992) 427-444, derived anew in that form. It was made for projectiles; no test against tillage is known. It holds
+    while elastic strains at the front stay below 5 % and the front is slower than elastic waves, ignores working depth,
+    the free surface and the shank, and has no added mass and loosened radius. It has no arguments.
 
     Raises:
-        DomainError: by `reaction`: see `spherical_cavity_draft`.
+        DomainError: by `reaction`.
 
     Example:
         >>> import plough_opt as po
@@ -91,7 +89,7 @@ class SphericalCavity(ResistanceLaw):
         8.4
     """
 
-    label = _LABEL
+    label = "the spherical cavity (Forrestal-Luk)"
     source = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
     standing = "derived anew in that form; made for projectiles, no test against tillage known"
     lacking: ClassVar[Mapping[str, str]] = {
@@ -99,10 +97,11 @@ class SphericalCavity(ResistanceLaw):
     }
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]: see `spherical_cavity_draft`.
+        """Return F0 [N] and Fd [N s^2/m^2], of the gauge pressure, which depends on the soil's ambient pressure.
 
         Raises:
-            InputError, DomainError: as `spherical_cavity_draft`.
+            DomainError: the speed is negative, elastic strains are large, or the front is as fast as elastic waves,
+                sqrt(E/rho0).
 
         Example:
             >>> import plough_opt as po
@@ -111,7 +110,19 @@ class SphericalCavity(ResistanceLaw):
             >>> round(float(po.laws.SphericalCavity().reaction(at).static) / 1e3, 2)
             8.39
         """
-        return _reaction(at.cone, at.soil, at.speed)
+        cone, soil = at.cone, at.soil
+        check_cone(cone, soil)
+        check_domain("speed", at.speed, "m/s", at_least=0.0)
+        cavity, along = spherical_cavity(soil), sin(cone.half_angle)
+        if soil.youngs_modulus is not None:
+            check_domain(
+                "speed of the compaction front over sqrt(E/rho0)",
+                cavity.front_speed * at.speed * along / sqrt(soil.youngs_modulus / soil.density),
+                below=1.0,
+                why="elastic waves must run ahead of the front",
+            )
+        face = math.pi * cone.height**2 * cone.slope * (cone.slope + soil.tool_friction)
+        return SoilReaction(static=face * cavity.static, drag=face * cavity.inertia * soil.density * along**2)
 
 
 @dataclass(frozen=True)
@@ -162,51 +173,6 @@ def spherical_cavity(soil: Soil) -> CavityPressure:
         inertia=grown * jump + behind,
         front_speed=1.0 / g,
     )
-
-
-@limited_in_designs(_LABEL)
-def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Expression:
-    """Return the draft [N] pi R^2 (tau0 A + B rho0 (V sin beta)^2)(1 + mu0 cot beta) of a cone, R = h tan(beta).
-
-    The face pushes the soil at V sin(beta) along its normal, as in penetration mechanics. Like this toolkit's own
-    model it ignores working depth, the free surface and the shank.
-
-    Args:
-        cone: the share's equivalent cone.
-        soil: the soil; its ambient pressure matters, although the force is that of the gauge pressure.
-        speed: V [m/s], at least 0.
-
-    Raises:
-        InputError: the cone is not a Cone.
-        DomainError: the speed is negative, elastic strains are large, or the front is as fast as elastic waves,
-            sqrt(E/rho0).
-
-    Example:
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> cone = po.Cone('10 deg', '25 cm')
-        >>> round(float(po.laws.spherical_cavity_draft(cone, soil, 2.0)) / 1e3, 2)
-        7.47
-    """
-    return _reaction(cone, soil, speed).at(speed)
-
-
-def _reaction(cone: Cone, soil: Soil, speed: Expression) -> SoilReaction:
-    """Return static draft and coefficient of the squared speed; the speed itself is only checked."""
-    check_cone(cone, soil)
-    check_domain("speed", speed, "m/s", at_least=0.0)
-    cavity = spherical_cavity(soil)
-    along = sin(cone.half_angle)
-    if soil.youngs_modulus is not None:
-        check_domain(
-            "speed of the compaction front over sqrt(E/rho0)",
-            cavity.front_speed * speed * along / sqrt(soil.youngs_modulus / soil.density),
-            below=1.0,
-            why="elastic waves must run ahead of the front",
-        )
-    slope = cone.slope
-    face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)
-    return SoilReaction(static=face * cavity.static, drag=face * cavity.inertia * soil.density * along**2)
 
 
 def _power(x: Expression, q: Expression) -> Expression:

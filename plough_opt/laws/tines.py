@@ -4,18 +4,18 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import LEAST, check_domain, check_kind, check_named, limited_in_designs
+from plough_opt.core.checks import LEAST, check_domain, check_named
 from plough_opt.core.errors import DomainError
 from plough_opt.core.expressions import Column, Expression, arctan, arctan2, cos, is_casadi, minimum, sin, sqrt, tan
 from plough_opt.core.units import in_si
 from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.geometry import Wedge
-from plough_opt.soil.soil import Soil, check_soil
+from plough_opt.soil.soil import check_soil
 
 GRAVITY: Final = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
@@ -33,44 +33,14 @@ _NEWTON_STEPS = 3
 _INSIDE = 1.0 - 1e-9
 
 
-@dataclass(frozen=True)
-class Tine:
-    """A flat tine that cuts soil up to its surface.
-
-    Args:
-        width: width w [m], above 0; as the others a number, an array, a CasADi scalar, or text such as "8 cm".
-        depth: depth d of its lower edge below the surface [m], above 0.
-        rake_angle: angle alpha of its face to the horizontal, measured ahead [rad], above 0 and at most 90 degrees.
-        surcharge: pressure q on the soil's surface [Pa], at least 0.
-        adhesion: adhesion c_a of soil on the face [Pa], at least 0.
-
-    Raises:
-        DomainError: a number lies outside its domain.
-
-    Example:
-        >>> import plough_opt as po
-        >>> tine = po.laws.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
-        >>> tine.width
-        0.06
-    """
+class Tine(NamedTuple):
+    """A flat tine that cuts soil up to its surface, in SI units."""
 
     width: Expression
     depth: Expression
     rake_angle: Expression
-    surcharge: Expression = 0.0
-    adhesion: Expression = 0.0
-
-    def __post_init__(self) -> None:
-        limits: dict[str, tuple[str, str, dict[str, Any]]] = {
-            "width": ("tool width", "m", {"above": 0.0}),
-            "depth": ("working depth", "m", {"above": 0.0}),
-            "rake_angle": ("rake angle", "rad", {"above": 0.0, "at_least": LEAST, "at_most": math.pi / 2}),
-            "surcharge": ("surcharge", "Pa", {"at_least": 0.0}),
-            "adhesion": ("adhesion", "Pa", {"at_least": 0.0}),
-        }
-        for name, (what, unit, domain) in limits.items():
-            value = in_si(what, getattr(self, name), unit)
-            object.__setattr__(self, name, check_domain(what, value, unit, **domain))
+    surcharge: Expression
+    adhesion: Expression
 
 
 @dataclass(frozen=True)
@@ -78,11 +48,13 @@ class TineLaw(ResistanceLaw):
     """A law for a tine that stands for the share; dimensions that are not given are estimated from the share.
 
     Args:
-        depth: working depth [m]; default: the share's height.
-        width: width of the tine [m]; default: base diameter of the equivalent cone.
-        rake_angle: rake angle of the tine [rad], above 0 and at most 90 degrees; default: the share's chisel angle.
-        surcharge: pressure on the soil's surface [Pa].
-        adhesion: adhesion of soil on the tine [Pa].
+        depth: working depth d of the tine's lower edge below the surface [m], above 0; as the others a number, an
+            array, a CasADi scalar, or text such as "8 cm"; default: the share's height.
+        width: width w of the tine [m], above 0; default: base diameter of the equivalent cone.
+        rake_angle: angle alpha of its face to the horizontal, measured ahead [rad], above 0 and at most 90 degrees;
+            default: the share's chisel angle.
+        surcharge: pressure q on the soil's surface [Pa], at least 0.
+        adhesion: adhesion c_a of soil on the face [Pa], at least 0.
     """
 
     depth: Expression | None = field(default=None, metadata={"unit": "m"})
@@ -102,7 +74,7 @@ class TineLaw(ResistanceLaw):
             >>> import plough_opt as po
             >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
             >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
-            >>> po.laws.McKyesAli(width=0.08, depth=0.35).tine(at).width
+            >>> po.laws.McKyesAli(width="8 cm", depth=0.35).tine(at).width
             0.08
         """
         rake = self.rake_angle
@@ -110,13 +82,21 @@ class TineLaw(ResistanceLaw):
             if not isinstance(at.share, Wedge):
                 raise DomainError("a share given as a cone does not have a rake angle: give rake_angle")
             rake = at.share.chisel_angle
+        width = 2.0 * at.cone.height * at.cone.slope if self.width is None else self.width
+        depth = at.share.height if self.depth is None else self.depth
+        most: dict[str, Any] = {"above": 0.0, "at_least": LEAST, "at_most": math.pi / 2}
         return Tine(
-            width=2.0 * at.cone.height * at.cone.slope if self.width is None else self.width,
-            depth=at.share.height if self.depth is None else self.depth,
-            rake_angle=rake,
-            surcharge=self.surcharge,
-            adhesion=self.adhesion,
+            width=_checked("tool width", width, "m", above=0.0),
+            depth=_checked("working depth", depth, "m", above=0.0),
+            rake_angle=_checked("rake angle", rake, "rad", **most),
+            surcharge=_checked("surcharge", self.surcharge, "Pa", at_least=0.0),
+            adhesion=_checked("adhesion", self.adhesion, "Pa", at_least=0.0),
         )
+
+
+def _checked(what: str, value: Expression, unit: str, **domain: Any) -> Expression:
+    checked: Expression = check_domain(what, in_si(what, value, unit), unit, **domain)
+    return checked
 
 
 @dataclass(frozen=True)
@@ -150,21 +130,20 @@ class WedgeFactors:
     inertia: Expression
 
 
-def wedge_angles(soil: Soil, tine: Tine, speed: Expression) -> WedgeAngles:
+def wedge_angles(tine: Tine, at: ShareInSoil) -> WedgeAngles:
     """Return the angles of the wedge.
 
     Raises:
-        InputError: soil or tine has the wrong type.
+        InputError: the soil has the wrong type.
         DomainError: the soil has no friction, the angles sum to 180 degrees or more, or the speed is outside 0 to
             5 m/s.
     """
-    check_soil(soil)
-    check_kind("the tine", tine, Tine, "a laws.Tine")
+    check_soil(at.soil)
     why = "in soil without friction the weight does not determine a wedge"
-    check_domain("friction angle", soil.friction_angle, "rad", above=0.0, why=why)
+    check_domain("friction angle", at.soil.friction_angle, "rad", above=0.0, why=why)
     why = "above 3 to 5 m/s draft grows more slowly than the square of the speed"
-    check_domain("speed", speed, "m/s", at_least=0.0, at_most=LARGEST_SPEED, why=why)
-    angles = WedgeAngles(tine.rake_angle, arctan(soil.tool_friction), soil.friction_angle)
+    check_domain("speed", at.speed, "m/s", at_least=0.0, at_most=LARGEST_SPEED, why=why)
+    angles = WedgeAngles(tine.rake_angle, arctan(at.soil.tool_friction), at.soil.friction_angle)
     what, why = "rake angle, tool friction and internal friction together", "the wedge would not move up the face"
     check_domain(what, angles.total, "rad", below=math.pi, why=why)
     return angles
@@ -279,7 +258,6 @@ TEXTURES: Final = {"fine": 1.0, "medium": 0.70, "coarse": 0.45}
 """Soil texture (clay, loam, sand) -> factor F. Not verified."""
 
 _KM_PER_H, _CM = 3.6, 100.0
-_LABEL = "ASABE D497"
 CRITICAL_RATIO: Final = 6.0
 """Depth over width beyond which soil fails sideways at depth; reported as 5 to 6, not verified."""
 # The inertia is that of soil in the tine's width plus this fraction of the depth.
@@ -288,10 +266,11 @@ _REACH = 0.6
 
 @dataclass(frozen=True)
 class AsabeD497(ResistanceLaw):
-    """`asabe_draft` as a law: F0 and Fd depend on depth and texture, but not on soil properties or the share's angles.
+    """Draft F (A + B S + C S^2) N T of a subsoiler for S in km/h and T in cm: ASABE D497.7.
 
-    F = F (A + C S^2) N T for S in km/h and T in cm, the subsoiler's rows of ASABE D497.7, not verified against the
-    standard's text, which is said to allow +-50 %. It moves with the share's own mass alone, and has no ambient
+    It depends on depth and texture, but not on soil properties or the share's angles. The form and its units agree with
+    a published worked example for a chisel plough; the coefficients of the subsoiler's rows are not verified against
+    the standard's text, which is said to allow +-50 %. It moves with the share's own mass alone, and has no ambient
     pressure, added mass, loosened radius or cone index.
 
     Args:
@@ -318,7 +297,7 @@ class AsabeD497(ResistanceLaw):
     shanks: Expression = field(default=1.0, metadata={"unit": ""})
     depth: Expression | None = field(default=None, metadata={"unit": "m"})
 
-    label = _LABEL
+    label = "ASABE D497"
     source = "ASABE D497.7, Agricultural machinery management data"
     standing = "coefficients not verified against the standard's text, which is said to allow +-50 %"
 
@@ -326,7 +305,8 @@ class AsabeD497(ResistanceLaw):
         """Return F0 [N] and Fd [N s^2/m^2]; the subsoiler's rows do not have a term linear in the speed.
 
         Raises:
-            InputError, DomainError: as `asabe_draft`.
+            InputError: the texture or the point is unknown.
+            DomainError: depth, speed or number of shanks lies outside its domain.
 
         Example:
             >>> import plough_opt as po
@@ -335,47 +315,14 @@ class AsabeD497(ResistanceLaw):
             >>> round(float(po.laws.AsabeD497().reaction(at).at(2.0)))
             6706
         """
-        depth = at.share.height if self.depth is None else in_si("working depth", self.depth, "m")
-        static = asabe_draft(depth, 0.0, self.texture, point=self.point, shanks=self.shanks)
+        check_named("no soil texture of D497 is named {}", self.texture, TEXTURES)
+        check_named("no subsoiler point of D497 is named {}", self.point, POINTS)
+        depth = _checked("working depth", at.share.height if self.depth is None else self.depth, "m", above=0.0)
         check_domain("speed", at.speed, "m/s", at_least=0.0)
-        _, _, squared = POINTS[self.point]
-        drag = TEXTURES[self.texture] * squared * _KM_PER_H**2 * self.shanks * (_CM * depth)
-        return SoilReaction(static=static, drag=drag)
-
-
-@limited_in_designs(_LABEL)
-def asabe_draft(
-    depth: Expression, speed: Expression, texture: str, *, point: str = "narrow", shanks: Expression = 1.0
-) -> Expression:
-    """Return the draft [N] F (A + B S + C S^2) N T of a subsoiler, with S in km/h and T in cm.
-
-    Source: ASABE D497.7. The form and its units agree with a published worked example for a chisel plough. The
-    coefficients of the subsoiler's rows are not verified against the standard's text. The draft does not depend on tool
-    width, rake angle, or the soil's density and strength.
-
-    Args:
-        depth: tillage depth T [m], above 0.
-        speed: S [m/s], at least 0.
-        texture: ``"fine"`` (clay), ``"medium"`` (loam) or ``"coarse"`` (sand).
-        point: ``"narrow"`` or ``"winged"``.
-        shanks: number N of shanks.
-
-    Raises:
-        InputError: the texture or the point is unknown.
-        DomainError: depth, speed or number of shanks lies outside its domain.
-
-    Example:
-        >>> import plough_opt as po
-        >>> draft = po.laws.asabe_draft(texture="medium", point="narrow", depth=0.3, speed=2.0)
-        >>> round(float(draft) / 1e3, 2)
-        6.71
-    """
-    check_named("no soil texture of D497 is named {}", texture, TEXTURES)
-    check_named("no subsoiler point of D497 is named {}", point, POINTS)
-    depth = check_domain("working depth", in_si("working depth", depth, "m"), "m", above=0.0)
-    speed = check_domain("speed", in_si("speed", speed, "m/s"), "m/s", at_least=0.0)
-    shanks = check_domain("number of shanks", shanks, above=0.0)
-    return draft_of_row(POINTS[point], TEXTURES[texture], depth, speed, shanks)
+        shanks = check_domain("number of shanks", self.shanks, above=0.0)
+        factor, (first, _, squared) = TEXTURES[self.texture], POINTS[self.point]
+        drag = factor * squared * _KM_PER_H**2 * shanks * (_CM * depth)
+        return SoilReaction(draft_of_row((first, 0.0, 0.0), factor, depth, 0.0, shanks), drag)
 
 
 def draft_of_row(
@@ -397,11 +344,13 @@ def draft_of_row(
 
 @dataclass(frozen=True)
 class McKyesAli(TineLaw):
-    """`mckyes_ali_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius.
+    """A narrow tine that shears off a wedge with a crescent at each side: F0 and Fd.
 
-    A wedge of soil with a crescent at each side, cut along the plane of least weight: McKyes and Ali, J. Terramechanics
-    14 (1977) 43-51. It holds from 0 to 5 m/s for a rake angle below a right angle, and ignores ambient pressure.
-    Arguments, each a number or a CasADi scalar: see `TineLaw`.
+    H = {gamma d^2 Ng (1 + 2s/3w) + (c Nc + q Nq)(1 + s/w) d + (c_a Nca + rho v^2 Na) d} w sin(alpha + delta), plus the
+    adhesion along the face, with s = d sqrt(cot beta (cot beta + 2 cot alpha)); beta minimises the factor of the
+    weight. The crescents do not affect the term with the squared speed. Source: McKyes and Ali, J. Terramechanics 14
+    (1977) 43-51; the crescents' factors are not verified against the paper. It holds from 0 to 5 m/s for a rake angle
+    below a right angle, and ignores ambient pressure, added mass and loosened radius.
 
     Args:
         depth: working depth [m], above 0; default: the share's height.
@@ -411,7 +360,7 @@ class McKyesAli(TineLaw):
         adhesion: adhesion of soil on the tine [Pa], at least 0.
 
     Raises:
-        DomainError: by `reaction`: see `mckyes_ali_draft`.
+        DomainError: by `reaction`.
 
     Example:
         >>> import plough_opt as po
@@ -427,10 +376,12 @@ class McKyesAli(TineLaw):
     standing = "factors of the plane wedge as published; the crescents' factors not verified against the paper"
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]; see `mckyes_ali_draft`.
+        """Return F0 [N] and Fd [N s^2/m^2].
 
         Raises:
-            DomainError: as `mckyes_ali_draft`, or the share is a cone and there is no rake angle.
+            DomainError: as `TineLaw.tine`, a number is outside the domain of a wedge, or the rake angle is so flat and
+                the tine so narrow that the factor of the weight is least at the end of the possible angles. For MX
+                symbols a `Design` enforces this limit.
 
         Example:
             >>> import plough_opt as po
@@ -439,51 +390,17 @@ class McKyesAli(TineLaw):
             >>> round(float(po.laws.McKyesAli(depth=0.35).reaction(at).static) / 1e3, 2)
             9.05
         """
-        return _mckyes_ali(at.soil, self.tine(at), at.speed)
-
-
-@limited_in_designs("McKyes and Ali")
-def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
-    """Return the draft [N] of a narrow tine that shears off a wedge with a crescent at each side.
-
-    H = {gamma d^2 Ng (1 + 2s/3w) + (c Nc + q Nq)(1 + s/w) d + (c_a Nca + rho v^2 Na) d} w sin(alpha + delta), plus the
-    adhesion along the face, with s = d sqrt(cot beta (cot beta + 2 cot alpha)); beta minimises the factor of the
-    weight. The crescents do not affect the term with the squared speed. Source: McKyes and Ali 1977; the crescents'
-    factors are not verified against the paper.
-
-    Args:
-        soil: soil whose density, cohesion, friction and tool friction are used, but not its ambient pressure.
-        tine: tine with floats or CasADi scalars.
-        speed: v [m/s], from 0 to 5.
-
-    Raises:
-        DomainError: an argument is outside the domain of a wedge, or the rake angle is so flat and the tine so narrow
-            that the factor of the weight is least at the end of the possible angles. For MX symbols a `Design` enforces
-            this limit.
-
-    Example:
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> tine = po.laws.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
-        >>> round(float(po.laws.mckyes_ali_draft(soil, tine, 2.0)) / 1e3, 2)
-        7.59
-    """
-    return _mckyes_ali(soil, tine, speed).at(speed)
-
-
-def _mckyes_ali(soil: Soil, tine: Tine, speed: Expression) -> SoilReaction:
-    """Return static draft and coefficient of the squared speed; the speed itself is only checked."""
-    angles = wedge_angles(soil, tine, speed)
-    beta = rupture_angle(angles, tine.depth / tine.width)
-    n = wedge_factors(angles, beta)
-    side = _side(angles.rake, beta, tine.depth / tine.width)
-    weight = soil.density * GRAVITY * tine.depth * n.weight * (1.0 + 2.0 / 3.0 * side)
-    strength = (soil.cohesion * n.cohesion + tine.surcharge * n.surcharge) * (1.0 + side)
-    face = tine.width * tine.depth
-    return SoilReaction(
-        static=horizontal((weight + strength + tine.adhesion * n.adhesion) * face, tine, angles),
-        drag=soil.density * n.inertia * face * sin(angles.rake + angles.tool_friction),
-    )
+        tine = self.tine(at)
+        angles, ratio, soil = wedge_angles(tine, at), tine.depth / tine.width, at.soil
+        beta = rupture_angle(angles, ratio)
+        n, side = wedge_factors(angles, beta), _side(angles.rake, beta, ratio)
+        weight = soil.density * GRAVITY * tine.depth * n.weight * (1.0 + 2.0 / 3.0 * side)
+        strength = (soil.cohesion * n.cohesion + tine.surcharge * n.surcharge) * (1.0 + side)
+        face = tine.width * tine.depth
+        return SoilReaction(
+            static=horizontal((weight + strength + tine.adhesion * n.adhesion) * face, tine, angles),
+            drag=soil.density * n.inertia * face * sin(angles.rake + angles.tool_friction),
+        )
 
 
 def rupture_angle(angles: WedgeAngles, ratio: Expression) -> Expression:
@@ -507,10 +424,13 @@ def _side(alpha: Expression, beta: Expression, ratio: Expression) -> Expression:
 
 @dataclass(frozen=True)
 class UniversalEarthmoving(TineLaw):
-    """`godwin_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius.
+    """The universal earthmoving equation, with crescents at the sides of a narrow tine: F0 and Fd.
 
-    The universal earthmoving equation after Godwin and O'Dogherty 2003, with factors of a plane wedge. It holds from 0
-    to 5 m/s down to six widths, where soil begins to fail sideways, and ignores ambient pressure.
+    H = {(gamma d^2 Ng + c d Nc + c_a d Nca + q d Nq)(w + d (m - (m - 1)/3)) + rho v^2 Na d (w + 0.6 d)}
+    sin(alpha + delta), plus the adhesion along the face. Source: Godwin and O'Dogherty 2003. The charts of Hettiaratchi
+    and Reece for the factors are replaced by the plane wedge with the least factor of the weight, which gives higher
+    values for rough tools. It holds from 0 to 5 m/s down to six widths, where soil begins to fail sideways, and ignores
+    ambient pressure, added mass and loosened radius.
 
     Args:
         depth: working depth [m], above 0: a number, an array or a CasADi expression; default: the share's height.
@@ -522,7 +442,7 @@ class UniversalEarthmoving(TineLaw):
             plane wedge.
 
     Raises:
-        DomainError: by `reaction`: see `godwin_draft`.
+        DomainError: by `reaction`.
 
     Example:
         >>> import plough_opt as po
@@ -544,10 +464,10 @@ class UniversalEarthmoving(TineLaw):
     scalar = True
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]; see `godwin_draft`.
+        """Return F0 [N] and Fd [N s^2/m^2].
 
         Raises:
-            DomainError: as `godwin_draft`, or the share is a cone and there is no rake angle.
+            DomainError: as `TineLaw.tine`, a number is outside the domain of a wedge, or the depth exceeds six widths.
 
         Example:
             >>> import plough_opt as po
@@ -556,64 +476,31 @@ class UniversalEarthmoving(TineLaw):
             >>> round(float(po.laws.UniversalEarthmoving(depth=0.35).reaction(at).static) / 1e3, 2)
             13.75
         """
-        return _godwin(at.soil, self.tine(at), at.speed, self.rupture_ratio)
-
-
-@limited_in_designs("universal earthmoving equation")
-def godwin_draft(soil: Soil, tine: Tine, speed: Expression, *, rupture_ratio: Expression | None = None) -> Expression:
-    """Return the draft [N] by the universal earthmoving equation, including crescents at the sides.
-
-    H = {(gamma d^2 Ng + c d Nc + c_a d Nca + q d Nq)(w + d (m - (m - 1)/3)) + rho v^2 Na d (w + 0.6 d)}
-    sin(alpha + delta), plus the adhesion along the face. Source: Godwin and O'Dogherty 2003. The charts of Hettiaratchi
-    and Reece for the factors are replaced by the plane wedge with the least factor of the weight, which gives higher
-    values for rough tools.
-
-    Args:
-        soil: soil whose density, cohesion, friction and tool friction are used, but not its ambient pressure.
-        tine: tine with floats, arrays or CasADi expressions.
-        speed: v [m/s], from 0 to 5.
-        rupture_ratio: ratio m of the rupture distance on the surface to the depth, at least 1; default: that of the
-            plane wedge, cot(alpha) + cot(beta).
-
-    Raises:
-        DomainError: an argument is outside the domain of a wedge, or the depth exceeds six widths.
-
-    Example:
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> tine = po.laws.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
-        >>> round(float(po.laws.godwin_draft(soil, tine, 2.0)) / 1e3, 2)
-        10.64
-    """
-    return _godwin(soil, tine, speed, rupture_ratio).at(speed)
-
-
-def _godwin(soil: Soil, tine: Tine, speed: Expression, rupture_ratio: Expression | None) -> SoilReaction:
-    """Return static draft and coefficient of the squared speed; the speed itself is only checked."""
-    angles = wedge_angles(soil, tine, speed)
-    check_domain(
-        "depth over width", tine.depth / tine.width, at_most=CRITICAL_RATIO,
-        why="below the critical depth the soil fails sideways, which this equation does not describe",
-    )  # fmt: skip
-    beta = plane_rupture_angle(angles)
-    n = wedge_factors(angles, beta)
-    m = 1.0 / tan(tine.rake_angle) + cos(beta) / sin(beta) if rupture_ratio is None else rupture_ratio
-    m = check_domain("rupture distance ratio m", m, at_least=1.0)
-    d, w = tine.depth, tine.width
-    still = soil.density * GRAVITY * d * n.weight + soil.cohesion * n.cohesion
-    still = still + tine.adhesion * n.adhesion + tine.surcharge * n.surcharge
-    return SoilReaction(
-        static=horizontal(still * d * (w + d * (m - (m - 1.0) / 3.0)), tine, angles),
-        drag=soil.density * n.inertia * d * (w + _REACH * d) * sin(angles.rake + angles.tool_friction),
-    )
+        tine = self.tine(at)
+        angles, soil, d, w = wedge_angles(tine, at), at.soil, tine.depth, tine.width
+        why = "below the critical depth the soil fails sideways, which this equation does not describe"
+        check_domain("depth over width", d / w, at_most=CRITICAL_RATIO, why=why)
+        beta = plane_rupture_angle(angles)
+        n, plane = wedge_factors(angles, beta), 1.0 / tan(tine.rake_angle) + cos(beta) / sin(beta)
+        m = plane if self.rupture_ratio is None else self.rupture_ratio
+        m = check_domain("rupture distance ratio m", m, at_least=1.0)
+        still = soil.density * GRAVITY * d * n.weight + soil.cohesion * n.cohesion
+        still = still + tine.adhesion * n.adhesion + tine.surcharge * n.surcharge
+        return SoilReaction(
+            static=horizontal(still * d * (w + d * (m - (m - 1.0) / 3.0)), tine, angles),
+            drag=soil.density * n.inertia * d * (w + _REACH * d) * sin(angles.rake + angles.tool_friction),
+        )
 
 
 @dataclass(frozen=True)
 class SwickPerumpral(TineLaw):
-    """`swick_perumpral_draft` as a law for steady sliding, because the rupture angle depends on the speed.
+    """A plane wedge of accelerated soil without forces at its sides, so low for narrow tines.
 
-    A plane wedge of accelerated soil without forces at its sides, so low for narrow tines: Swick and Perumpral, J.
-    Terramechanics 25 (1988) 43-56. It holds from 0 to 5 m/s; a scene must have ``Effects(motion=False)``.
+    H = P sin(alpha + delta) plus the adhesion along the face, where
+    P/(w d) = gamma d Ng + c Nc + q Nq + c_a Nca + rho v^2 Na is minimised over the rupture angle. Source: Swick and
+    Perumpral, J. Terramechanics 25 (1988) 43-56; that P is minimised is not verified against the paper. It holds from 0
+    to 5 m/s and for steady sliding, because the rupture angle depends on the speed: a scene must have
+    ``Effects(motion=False)``.
 
     Args:
         depth: working depth [m], above 0: a number or a CasADi scalar; default: the share's height.
@@ -623,7 +510,7 @@ class SwickPerumpral(TineLaw):
         adhesion: adhesion of soil on the tine [Pa], at least 0.
 
     Raises:
-        DomainError: by `reaction`: see `swick_perumpral_draft`.
+        DomainError: by `reaction`.
 
     Example:
         >>> import plough_opt as po
@@ -645,7 +532,8 @@ class SwickPerumpral(TineLaw):
         """Return the draft at the tow speed as F0 [N].
 
         Raises:
-            DomainError: as `swick_perumpral_draft`, or the share is a cone and there is no rake angle.
+            DomainError: as `TineLaw.tine`, a number is outside the domain of a wedge, or the force is least at the end
+                of the possible angles. For MX symbols a `Design` enforces this limit.
 
         Example:
             >>> import plough_opt as po
@@ -654,38 +542,11 @@ class SwickPerumpral(TineLaw):
             >>> round(float(po.laws.SwickPerumpral(depth=0.35).reaction(at).static) / 1e3, 2)
             1.89
         """
-        return SoilReaction(static=swick_perumpral_draft(at.soil, self.tine(at), at.speed))
-
-
-@limited_in_designs("Swick and Perumpral")
-def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
-    """Return the draft [N] of a plane wedge of accelerated soil, without forces at its sides.
-
-    H = P sin(alpha + delta) plus the adhesion along the face, where
-    P/(w d) = gamma d Ng + c Nc + q Nq + c_a Nca + rho v^2 Na is minimised over the rupture angle. Source: Swick and
-    Perumpral 1988; that P is minimised is not verified against the paper. The side forces of narrow tines are left out,
-    so the result is low for them.
-
-    Args:
-        soil: soil whose density, cohesion, friction and tool friction are used, but not its ambient pressure.
-        tine: tine with floats or CasADi scalars.
-        speed: v [m/s], from 0 to 5.
-
-    Raises:
-        DomainError: an argument is outside the domain of a wedge, or the force is least at the end of the possible
-            angles. For MX symbols a `Design` enforces this limit.
-
-    Example:
-        >>> import plough_opt as po
-        >>> soil = po.named_soil("serozem")
-        >>> tine = po.laws.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
-        >>> round(float(po.laws.swick_perumpral_draft(soil, tine, 2.0)) / 1e3, 2)
-        0.92
-    """
-    angles = wedge_angles(soil, tine, speed)
-    loads = (soil.density * GRAVITY * tine.depth, soil.cohesion, tine.surcharge, tine.adhesion, soil.density * speed**2)
-    beta = least_angle(_pressure, angles, *loads)
-    return horizontal(_pressure(angles, beta, *loads) * tine.width * tine.depth, tine, angles)
+        tine, soil = self.tine(at), at.soil
+        angles, weight = wedge_angles(tine, at), soil.density * GRAVITY * tine.depth
+        loads = (weight, soil.cohesion, tine.surcharge, tine.adhesion, soil.density * at.speed**2)
+        force = _pressure(angles, least_angle(_pressure, angles, *loads), *loads) * tine.width * tine.depth
+        return SoilReaction(static=horizontal(force, tine, angles))
 
 
 def _pressure(angles: WedgeAngles, beta: Expression, weight: Expression, *loads: Expression) -> Expression:

@@ -30,7 +30,6 @@ STEADY = po.Effects(motion=False)
 SCENE = po.Scene(SOIL, WEDGE, 5e4, 45.0, 2.0, STEADY)
 CAVITY = po.plastic.Cavity(0.1, 0.4, 0.2)
 NODES = ((0.0, 0.0), (0.5, 0.05))
-TINE = po.laws.Tine(0.05, 0.3, 0.7)
 SAMPLES = (1.0, 2.0, 4.0)
 
 
@@ -124,7 +123,6 @@ def _laws():
     """Return name -> function of soil, share or medium, with its required arguments."""
     forces = _of(po, "added_mass loosened_radius resistance resistance_coefficients soil_reaction")
     fields = [own for name in po.elastic.__all__ if inspect.isfunction(own := getattr(po.elastic, name))]
-    drafts = _of(po.laws, "Tine asabe_draft godwin_draft mckyes_ali_draft spherical_cavity_draft swick_perumpral_draft")
     gas = _of(
         po.plastic,
         """Cavity current_radius density front front_radius front_speed mean_ratio
@@ -135,8 +133,6 @@ def _laws():
         **_group("elastic.", fields, x=0.2, r=0.1, y=0.1, profile=NODES, soil=FIRM, speed=2.0, section_factor=0.5),
         "elastic.knots": (po.elastic.knots, {"profile": lambda x: 0.1 * x, "length": 0.5, "count": 4}),
         **_group("plastic.", gas, cavity=CAVITY, r=0.15, soil=SOIL, radius=0.1, rate=0.4, acceleration=0.2),
-        **_group("laws.", drafts, cone=CONE, tine=TINE, soil=SOIL, width=0.05, depth=0.3, rake_angle=0.7, speed=2.0,
-                 texture="medium", point="narrow"),
     }  # fmt: skip
 
 

@@ -380,8 +380,8 @@ class McKyesAli(TineLaw):
 
         Raises:
             DomainError: as `TineLaw.tine`, a number is outside the domain of a wedge, or the rake angle is so flat and
-                the tine so narrow that the factor of the weight is least at the end of the possible angles. For MX
-                symbols a `Design` enforces this limit.
+                the tine so narrow that the factor of the weight is least at the end of the possible angles. A `Design`
+                keeps this limit of a scene's law.
 
         Example:
             >>> import plough_opt as po
@@ -533,7 +533,7 @@ class SwickPerumpral(TineLaw):
 
         Raises:
             DomainError: as `TineLaw.tine`, a number is outside the domain of a wedge, or the force is least at the end
-                of the possible angles. For MX symbols a `Design` enforces this limit.
+                of the possible angles. A `Design` keeps this limit of a scene's law.
 
         Example:
             >>> import plough_opt as po

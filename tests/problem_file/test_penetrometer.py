@@ -1,13 +1,11 @@
-"""Readings of a field, random strength and orbits in problem files."""
+"""Readings of a field and random strength in problem files."""
 
-import json
 import math
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import printed
 from helpers.problem_files import COTTON, PROBLEMS, STATIC, changed, refused_files
 
 import plough_opt as po
@@ -263,15 +261,6 @@ def test_it_is_a_column_of_sweeps_and_an_output_of_components(read, inline):
             assert found == pytest.approx(tuple(getattr(scene, name) for name in NAMES), rel=1e-10)
 
 
-def test_its_sensitivities_are_those_of_the_closed_form(read):
-    """All of it is proportional to the RMS of strength: the objective's slope by that is its second term over it."""
-    # Of a steady motion the deflection at every output time is one limit many times over.
-    text = written(GIVEN, ("deflection      =", "mean_deflection ="))
-    best, run = read(text).optimise(parameters=True, search="near")
-    found = best.sensitivity("effects.random_strength.rms")
-    assert found.objective == pytest.approx(run.scene.stationary_force_rms / 1e3 / 0.2, rel=1e-6)
-
-
 def test_it_is_a_measure_of_an_uncertain_soil(read):
     """Over samples of the soil its mean is that of the closed form in each of them."""
     uncertain = "\n[uncertain]\nsamples = 8\nfresh = 100\nsoil.cohesion = "
@@ -292,49 +281,3 @@ def test_what_is_wrong_has_its_line(refusal, given, words, places):
     said = refusal(written(given, *places))
     assert said.startswith("share.toml, line ")
     assert words in said
-
-
-# --- periodic orbits in problem files: what they become, what commands make of them, what is refused, with its line ---
-
-
-def orbit(form, *places):
-    """Return the problem file for an orbit, without a duration."""
-    return changed(('duration = "2 s"\n', ""), ("[effects]\n", f"[effects]\norbit = {form}\n"), *places)
-
-
-def test_an_orbit_of_a_file_is_that_of_the_effects(read):
-    problem = read(orbit('"periodic"'))
-    assert problem.scene().effects.orbit == "periodic"
-    run = problem.simulate()
-    assert run.duration == pytest.approx(0.2 / 2.0, rel=1e-15)
-    assert np.array_equal(run.mount_force, po.simulate(problem.scene()).mount_force)
-
-
-def test_simulate_reports_saves_and_draws_an_orbit(read, tmp_path):
-    file, picture = read(orbit('"periodic"')).name, tmp_path / "orbit.svg"
-    assert "a share from equilibrium" in printed("simulate", file)
-    run = json.loads(printed("simulate", file, "--json", "--plot", picture))
-    assert run["time"][-1] == pytest.approx(0.1, rel=1e-12)
-    assert run["mount_force"][-1] == pytest.approx(run["mount_force"][0], rel=1e-10)
-    assert run["error_estimate"] <= 1e-8
-    assert picture.stat().st_size > 1000
-
-
-WAVE_LINE = 'strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }\n'
-
-
-WRONG_ORBITS = [
-    (orbit('"steady"'), "orbit", "'effects.orbit'"),
-    (changed(("[effects]\n", '[effects]\norbit = "periodic"\n')), "duration =", "whose duration is one wave"),
-    (orbit('"periodic"\nstart = "towed"\nentry = true'), "[effects]", "an orbit has no start"),
-    (orbit('"periodic"', (WAVE_LINE, "")), "[effects]", "an orbit needs a strength_wave"),
-]
-
-
-@pytest.mark.parametrize(
-    ("text", "fragment", "piece"),
-    WRONG_ORBITS,
-    ids=["unknown", "duration", "start", "no wave"],
-)
-def test_what_no_orbit_has_is_refused_at_its_line(blames, text, fragment, piece):
-    blames(text, fragment, piece)

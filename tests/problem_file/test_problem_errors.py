@@ -59,10 +59,6 @@ def test_many_mistakes_are_counted(refusal):
     assert lines[-1] == "... and 2980 more"
 
 
-def test_a_text_that_ends_too_early(refusal):
-    assert refusal('[scene]\ntow_speed = """7.2\n').startswith("share.toml, line 2: not valid TOML: ")
-
-
 JSON = "file.json' is JSON, not a problem file: print a saved result by plough-opt show"
 
 
@@ -186,15 +182,6 @@ def test_columns_are_recognised_however_they_are_spelt(tmp_path, heading):
     )
     found = po.read_penetrometer(written(tmp_path, heading, ",", "."), (0.0, 0.5))
     assert found.insertions.tolist() == plain.insertions.tolist()
-
-
-def test_measurements_are_read_by_the_same_headings(tmp_path):
-    path = tmp_path / "draft.csv"
-    path.write_text("Scene.Tow_Speed (km/h);Mean Draft [kN];Sigma [%]\n3,5;1,775;3\n5;1,9;3\n", encoding="utf-8")
-    found = po.read_measurements(path)
-    assert (found.result, [*found.conditions]) == ("mean_draft", ["scene.tow_speed"])
-    assert found.values == pytest.approx([1775.0, 1900.0])
-    assert found.sigma == pytest.approx([53.25, 57.0])
 
 
 @pytest.mark.parametrize(

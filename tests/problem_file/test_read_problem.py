@@ -134,6 +134,13 @@ def test_a_wrong_course_of_the_tow_speed_is_refused_with_its_line(blames, course
     blames(changed(('"7.2 km/h"', course)), "tow_speed", "scene.tow_speed", words)
 
 
+def test_an_orbit_of_a_file_is_that_of_the_effects(read):
+    problem = read(changed(('duration = "2 s"\n', ""), ("[effects]\n", '[effects]\norbit = "periodic"\n')))
+    run = problem.simulate()
+    assert run.duration == pytest.approx(0.2 / 2.0, rel=1e-15)
+    assert np.array_equal(run.mount_force, po.simulate(problem.scene()).mount_force)
+
+
 VARIED = [
     ("effects.strength_wave.amplitude", "amplitude = 0.3, ", ("0.1", "0.5"),
      lambda scene: scene.effects.strength_wave.amplitude / 0.3),

@@ -18,7 +18,6 @@ import plough_opt as po
 from plough_opt.core import units
 from plough_opt.core.errors import InputError
 from plough_opt.core.units import Unit, display_of
-from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.problem_file import template
 from plough_opt.problem_file.written import problem_of
 
@@ -147,11 +146,6 @@ def test_a_key_is_changed(read, override, value, expected):
     assert problem.notes == ()
 
 
-def test_a_field_of_an_own_effect_without_a_unit_is_taken_as_written(read, monkeypatch):
-    monkeypatch.setitem(OWN_EFFECTS, "plain", Shank)
-    assert read(COTTON, "effects.own=[{effect='plain', viscous=30}]").scene().effects.own == (Shank(viscous=30),)
-
-
 def test_nothing_else_is_changed_and_the_last_change_counts(read):
     first, last = read(COTTON), read(COTTON, "scene.tow_speed=1 m/s", "scene.tow_speed=2.5 m/s")
     assert last.values() == first.values() | {"scene.tow_speed": 2.5}
@@ -200,10 +194,6 @@ def test_a_change_is_not_blamed_for_a_mistake_of_the_file_in_the_same_table(refu
         assert refusal(changed(place), override).startswith(f"share.toml, {mistake}")
 
 
-def test_a_change_can_mend_a_mistake_of_the_file(read):
-    assert read(COTTON.replace('"7.2 km/h"', "7.2"), "scene.tow_speed=2 m/s").scene().tow_speed == 2.0
-
-
 # --- the JSON schema of problem files against an independent validator, and against what reading a file refuses ---
 
 SCHEMA = json.loads(printed("init", "--schema"))
@@ -232,13 +222,6 @@ def test_a_mistake_is_marked_that_reading_refuses_too(refusal, right, wrong):
     text = changed((right, wrong))
     assert refusal(text)
     assert not VALIDATOR.is_valid(tomllib.loads(text))
-
-
-def test_meanings_and_units_are_those_of_the_registry():
-    speed = SCHEMA["$defs"]["SceneFile"]["properties"]["tow_speed"]
-    assert "V0" in speed["description"]
-    speed = speed["anyOf"][0]  # a constant one
-    assert speed["examples"] == ["7.2 km/h"]
 
 
 # --- scenes of Python as problem files: they say the same scene, or the message names what they cannot say ---

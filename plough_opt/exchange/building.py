@@ -387,15 +387,12 @@ class Box:
 
     def _error(self, resolution: Resolution) -> float:
         """Return the largest relative difference from a finer run, in draft, RMS, and mount force at the outputs."""
-        worst = 0.0
-        coarse_run, fine_run = self._evaluated(resolution), self._evaluated(resolution.finer(self._moves))
-        for coarse, fine in zip(coarse_run, fine_run, strict=True):
-            least = _LEAST_PART_OF_FORCE * float(fine["scale_"][0]) or LEAST
-            size = max(abs(float(fine["draft_"][0])), float(fine["rms_"][0]), least)
-            peak = max(float(np.max(np.abs(fine["force_"]))), least)
-            for name, scale in (("draft_", size), ("rms_", size), ("force_", peak)):
-                worst = max(worst, float(np.max(np.abs(coarse[name] - fine[name]))) / scale)
-        return worst
+        coarse, fine = self._evaluated(resolution), self._evaluated(resolution.finer(self._moves))
+        least = np.maximum(_LEAST_PART_OF_FORCE * fine["scale_"], LEAST)
+        size = np.maximum(np.maximum(np.abs(fine["draft_"]), fine["rms_"]), least)
+        peak = np.maximum(np.max(np.abs(fine["force_"]), axis=1, keepdims=True), least)
+        scales = {"draft_": size, "rms_": size, "force_": peak}
+        return max(float(np.max(np.abs(coarse[name] - fine[name]) / scale)) for name, scale in scales.items())
 
     def _derivative_error(self, resolution: Resolution) -> float:
         """Return the largest error of the motion's derivatives."""
@@ -434,37 +431,34 @@ class Box:
                 )
         return most
 
-    def _evaluated(self, resolution: Resolution) -> list[Values]:
-        """Return the checked results at every point.
+    def _evaluated(self, resolution: Resolution) -> Values:
+        """Return the checked results, a row for each point.
 
         Raises:
             DomainError: a result is not finite.
         """
         function = self.scenes.function(_CHECKED, resolution)
-        found = []
-        for x in self._points:
-            values = {name: value.full().ravel() for name, value in zip(_CHECKED, function.call(list(x)), strict=True)}
-            if not all(np.all(np.isfinite(value)) for value in values.values()):
-                what, where = "motion" if self._moves else "draft", point_text(self.scenes.inputs, x)
-                raise DomainError(f"the {what} has no finite value at {where}: give the inputs narrower bounds")
-            found.append(values)
-        return found
+        rows = [[value.full().ravel() for value in function.call(list(x))] for x in self._points]
+        values = {name: np.array(column) for name, column in zip(_CHECKED, zip(*rows, strict=True), strict=True)}
+        odd = np.flatnonzero(~np.all([np.isfinite(value).all(axis=1) for value in values.values()], axis=0))
+        if odd.size:
+            what, where = "motion" if self._moves else "draft", point_text(self.scenes.inputs, self._points[odd[0]])
+            raise DomainError(f"the {what} has no finite value at {where}: give the inputs narrower bounds")
+        return values
 
     def _warnings(self, resolution: Resolution) -> tuple[str, ...]:
         """Return warnings about the scene at the inputs' values, and about those between the bounds."""
-        scene, results = self.scenes.scene, self._evaluated(resolution)
-        notes = list(scene.warnings())
-        bluntest = max(float(values["half_angle_"][0]) for values in results)
+        scene, values = self.scenes.scene, self._evaluated(resolution)
+        notes, bluntest = list(scene.warnings()), float(values["half_angle_"].max())
         warned = any("plane sections" in note for note in notes)
         if scene.law.slender and bluntest > PLANE_SECTIONS_LIMIT and not warned:
             notes.append(f"within the bounds the half angle reaches {too_blunt(bluntest)}")
-        lowest = [float(np.min(values["speed_"])) for values in results]
+        lowest = values["speed_"].min(axis=1)
         slowest = int(np.argmin(lowest))
-        if lowest[slowest] < -_RETREAT_IN_BOUNDS * float(np.max(np.abs(results[slowest]["speed_"]))):
-            where = point_text(self.scenes.inputs, self._points[slowest])
+        if lowest[slowest] < -_RETREAT_IN_BOUNDS * np.abs(values["speed_"][slowest]).max():
+            where = f"as at {point_text(self.scenes.inputs, self._points[slowest])} at up to {-lowest[slowest]:.3g} m/s"
             notes.append(
-                f"within the bounds the share retreats, as at {where} at up to {-lowest[slowest]:.3g} m/s, and this"
-                " contact law ignores the gap that it leaves"
+                f"within the bounds the share retreats, {where}, and this contact law ignores the gap that it leaves"
             )
         return tuple(notes)
 

@@ -34,8 +34,8 @@ NOT_FOUND: Final = "no C compiler was found ($CC, cc, gcc, clang)"
 
 # Time limit [s] of a compilation. The largest designs take a minute on a busy machine.
 _TIMEOUT = 300.0
-# Why the last library could not be compiled; "" if none failed.
-_failure = ""
+# Why the last library could not be compiled.
+_failure = NOT_FOUND
 
 
 def find_compiler() -> tuple[str, ...] | None:
@@ -56,7 +56,7 @@ def find_compiler() -> tuple[str, ...] | None:
 
 def compiler_problem() -> str:
     """Return why there is no compiled code, as a clause that begins a warning."""
-    return _failure or NOT_FOUND
+    return _failure
 
 
 def interpretation_warning() -> str:
@@ -72,8 +72,8 @@ def library(source: str, variants: tuple[Variant, ...]) -> Path | None:
         variants: flags and libraries to try, fastest first; the first that compiles and loads is used.
     """
     global _failure
-    _failure = ""
     if (command := find_compiler()) is None:
+        _failure = NOT_FOUND
         return None
     name = hashlib.sha256("\0".join((source, str(variants), _identity(command))).encode()).hexdigest()
     try:

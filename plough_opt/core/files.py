@@ -51,7 +51,7 @@ def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") 
         missing: what to do if there is none with that ending in the folder; by default, to check the path.
 
     Raises:
-        InputError: the file does not exist, is a folder, JSON under another ending, too long, or not UTF-8.
+        InputError: the file does not exist, is a folder, JSON under another ending, a database, too long, or not UTF-8.
     """
     name = shown(str(path), 200)
     try:
@@ -59,6 +59,8 @@ def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") 
             content = file.read(most + 1)
         if ending != ".json" and content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
             raise InputError(f"{name} is JSON, not {kind}: print a saved result by plough-opt show")
+        if content.startswith(b"SQLite format 3"):
+            raise InputError(f"{name} is the store of a sweep of version 0.2: sweep again into a CSV file")
         if len(content) > most:
             size = f"{most // 1000} kB" if most < 1_000_000 else f"{most // 1_000_000} MB"
             raise InputError(f"{name} is too long for {kind}: at most {size} can be read")

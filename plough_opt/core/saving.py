@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-import json
 import os
 import platform
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from pkgutil import resolve_name
@@ -209,9 +206,8 @@ class Saveable(ByValue, Readable):
         """
         origin: Origin = getattr(self, "origin", Origin())
         head = to_plain(_Head(SCHEMA, self.kind, origin.title, self.made_by, page or self.shown_page()), _Head)
-        extra = getattr(self, "_extra", None)  # set if the result was read
-        extra = to_plain(self.also_saved()) if extra is None else extra
-        plain = head | extra | to_plain(self, type(self))
+        read = getattr(self, "_extra", None)  # set if the result was read
+        plain = head | to_plain(self.also_saved() if read is None else read) | to_plain(self, type(self))
         return json_text(plain)
 
     def save(self, path: str | Path) -> Path:
@@ -282,12 +278,12 @@ def _read(path: str | Path, wanted: type) -> Any:
     Raises:
         InputError: the file does not exist, is the store of a sweep, or holds another kind or layout.
     """
+    from pydantic_core import from_json
+
     path = path_of("the result", path)
-    if is_store(path):
-        raise InputError(f"{shown(str(path), 200)} is the store of a sweep of version 0.2: sweep again into a CSV file")
     text = read_text(path, "a saved result", ".json", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
     try:
-        return _result_of(_parsed(text), wanted)
+        return _result_of(from_json(text, allow_inf_nan=False), wanted)
     except (ValueError, RecursionError, TypeError) as error:
         kind = getattr(wanted, "kind", "result")
         which = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} of this version (schema {SCHEMA})"
@@ -315,36 +311,3 @@ def _result_of(data: Any, wanted: type) -> Any:
     for name, own in (("_shown", head.shown), ("_made_by", head.versions), ("_extra", extra)):
         object.__setattr__(result, name, own)
     return result
-
-
-def _parsed(text: str) -> Any:
-    """Return the contents of strictly valid JSON.
-
-    Raises:
-        ValueError: the text is not JSON, or holds NaN or a number beyond the range of floats.
-    """
-
-    def number(kind: type[float], digits: str) -> float:
-        value = kind(digits)
-        if not abs(value) <= sys.float_info.max:
-            raise ValueError(f"{short(digits)} is not a finite number")
-        return value
-
-    real = partial(number, float)
-    try:
-        return json.loads(text, parse_int=partial(number, int), parse_float=real, parse_constant=real)
-    except ValueError as error:
-        raise ValueError(f"Invalid JSON: {error}") from None
-
-
-# First bytes of an SQLite file, which the store of a sweep is.
-_STORE: Final = b"SQLite format 3"
-
-
-def is_store(path: Path) -> bool:
-    """Return whether a file is the store of a sweep."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_STORE)) == _STORE
-    except (OSError, ValueError):  # `load` reports it
-        return False

@@ -287,7 +287,8 @@ def _read(path: str | Path, wanted: type) -> Any:
     except (ValueError, RecursionError, TypeError) as error:
         kind = getattr(wanted, "kind", "result")
         which = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} of this version (schema {SCHEMA})"
-        raise InputError(f"'{path}' is not {which}: {short(str(error), 200)}") from None
+        why = f"{short(str(error), 200)}; name a file that save or --json wrote"
+        raise InputError(f"'{path}' is not {which}: {why}") from None
 
 
 def _result_of(data: Any, wanted: type) -> Any:
@@ -297,7 +298,7 @@ def _result_of(data: Any, wanted: type) -> Any:
         ValueError: the document does not hold a result of this version and class.
     """
     if not isinstance(data, dict) or "schema" not in data:
-        raise ValueError("name a file that save or --json wrote")
+        raise ValueError("it has no schema")
     if data["schema"] != SCHEMA or isinstance(data["schema"], bool):
         raise ValueError(f"it has schema {shown(data['schema'])}, of another version: compute the result again")
     first = [entry.name for entry in fields(_Head)]

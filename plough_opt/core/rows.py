@@ -33,8 +33,14 @@ def by_rows(function: ca.Function) -> Callable[..., list[Array]]:
 
 def _by_map(function: ca.Function) -> Callable[[list[Array]], list[Array]]:
     """Return the evaluation by CasADi."""
-    mapped = lru_cache(_MAPS)(function.map)
-    return lambda given: [np.asarray(one).T for one in mapped(len(given[0])).call([rows.T for rows in given])]
+    mapped, sizes = lru_cache(_MAPS)(function.map), [function.numel_out(k) for k in range(function.n_out())]
+
+    def by_map(given: list[Array]) -> list[Array]:
+        if not len(given[0]):
+            return [np.empty((0, size)) for size in sizes]
+        return [np.asarray(result).T for result in mapped(len(given[0])).call([rows.T for rows in given])]
+
+    return by_map
 
 
 def _in_vectors(function: ca.Function) -> Callable[[list[Array]], list[Array]] | None:

@@ -77,7 +77,6 @@ class Structure:
         start: see `Effects`.
         carries: whether events change the mass of soil that moves with the share.
         orbit: see `Effects`.
-        ramp_by_step: whether each step states if the ramp is over: see `plough_opt.motion.solvers.steps.OneStep`.
         locates_ramp: whether an integrator locates the end of the ramp even if the scene has no other events.
     """
 
@@ -85,7 +84,6 @@ class Structure:
     start: Literal["equilibrium", "rest", "towed"] = "equilibrium"
     carries: bool = False
     orbit: Literal["transient", "periodic"] = "transient"
-    ramp_by_step: bool = False
     locates_ramp: bool = False
 
     # Whether an effect is on.
@@ -110,8 +108,7 @@ class Structure:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all parameters that the terms may need, in order."""
-        by_step = ("ramped",) if self.ramp_by_step else ()
-        return (*_COMMON, *(name for term in self.terms for name in term.names), *by_step)
+        return (*_COMMON, *(name for term in self.terms for name in term.names))
 
     @property
     def accelerates(self) -> bool:
@@ -340,8 +337,6 @@ def parameters(scene: Towed) -> dict[str, Expression]:
 # Points per shortest wavelength at which the strength is evaluated; a minimum between them is lower by at most 1e-3.
 _POINTS = 64
 _MOST_POINTS = 1_000_000
-# Amplitudes of records and files have fewer digits than this.
-_ROUNDING_OF_SUM = 1e-9
 
 
 def check_strength(waves: Sequence[StrengthWave], path: tuple[float, float] | None = None) -> None:
@@ -354,7 +349,8 @@ def check_strength(waves: Sequence[StrengthWave], path: tuple[float, float] | No
     if len(waves) < 2 or any(is_symbolic(wave.amplitude) for wave in waves):
         return
     total = float(np.max(sum(as_number(wave.amplitude) for wave in waves)))
-    if total <= 1.0 + _ROUNDING_OF_SUM:
+    # Amplitudes of records and files have fewer digits than this.
+    if total <= 1.0 + 1e-9:
         return
     if path is None:
         raise DomainError(
@@ -385,9 +381,6 @@ GAP: Final = 2.0
 
 # A negligible force [N], which keeps the sizes of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
-
-# A speed below this fraction of the tow speed is rounding of the difference between strut's and spring's speed.
-_STANDSTILL = 1e-12
 
 
 def by_mode(mode: Column, slip: Expression, stick: Expression, gap: Expression) -> Any:
@@ -537,7 +530,8 @@ class _SymbolicShare:
         self.travel = self.strut.path - structure.start_deflection(p) - self.w
         self.strut_speed = structure.start_speed(self.p) + self.strut.gain
         self.speed = self.strut_speed - self.rate
-        self.stopping = self.speed + _STANDSTILL * self.p["tow_speed"]
+        # A speed below this fraction of the tow speed is rounding of the difference between strut's and spring's speed.
+        self.stopping = self.speed + 1e-12 * self.p["tow_speed"]
         self.ahead, self.faster = structure.lead(self.p, self.time)
         change = structure.pull(self.p, self.w + self.ahead, self.rate + self.faster)
         self.mount_force = structure.start_force(self.p) + change

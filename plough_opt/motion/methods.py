@@ -8,8 +8,6 @@ from plough_opt.core.errors import InputError
 
 # Rounding of sums of a tableau's coefficients, which may be as large as about 50.
 _ROUNDING_OF_TABLEAU = 1e-12
-# Usual error of steps of order 8. From it follows the number of steps of a method of another order.
-_USUAL_ERROR = 1e-10
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,8 @@ class Tableau(Method):
             if not abs(sum(row) - node) <= _ROUNDING_OF_TABLEAU:
                 raise InputError(f"a row of the tableau adds up to {sum(row)}: it must add up to its node {node}")
         if order != ORDER:  # the error is proportional to the step size to the power of the order
-            object.__setattr__(self, "finer", max(1.0, _USUAL_ERROR ** (1.0 / ORDER - 1.0 / order)))
+            # Usual error of steps of order 8. From it follows the number of steps of a method of another order.
+            object.__setattr__(self, "finer", max(1.0, 1e-10 ** (1.0 / ORDER - 1.0 / order)))
 
 
 ORDER: Final = 8

@@ -33,11 +33,6 @@ from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.soil import Soil
 from plough_opt.soil.strength import PASS, Sliding, Stationary, rare_peak, stationary_response
 
-# Overburden [Pa] at a depth of about 1.5 m, deeper than any subsoiler works. Higher pressure includes the atmosphere's.
-_GREATEST_OVERBURDEN = 20e3
-# A Gaussian variable exceeds this many standard deviations for 0.3 % of the time.
-_RARE_DEVIATIONS = 3.0
-
 _Property = TypeVar("_Property")
 
 
@@ -471,7 +466,8 @@ class Scene:
         if self.effects.random_strength is not None:
             found.append("random strength enters the stationary RMS only, not the simulated motion")
             rate, speed = (float(as_number(x)) for x in (self._stationary.speed_rms, self.tow_speed))
-            if _RARE_DEVIATIONS * rate > speed > 0.0:
+            # A Gaussian variable exceeds this many standard deviations for 0.3 % of the time.
+            if 3.0 * rate > speed > 0.0:
                 found.append(
                     f"under random strength the share's speed varies by {rate:.3g} m/s (RMS): three times that exceeds"
                     f" the tow speed of {speed:.3g} m/s, so the share sometimes stops or retreats, which the"
@@ -481,7 +477,9 @@ class Scene:
         if share > 0.0:
             pressure = float(as_number(self.soil.ambient_pressure))
             text = f"ambient pressure ({pressure / 1e3:.4g} kPa) carries {100 * share:.0f} % of the static draft"
-            if pressure > _GREATEST_OVERBURDEN:
+            # Overburden [Pa] at a depth of about 1.5 m, deeper than any subsoiler works. Higher pressure includes the
+            # atmosphere's.
+            if pressure > 20e3:
                 text += (
                     "; soil with open pores would feel only the overburden, a few kPa: set soil.ambient_pressure if"
                     " the pores are open"

@@ -10,7 +10,6 @@ from helpers.orbit_oracle import follow, monodromy, orbit, period
 from helpers.scenes import R1_SOIL, SHARP, Shank, Waves, scene_of
 
 import plough_opt as po
-from plough_opt.motion.solvers.orbit import MOST_STEPS
 
 # --- the periodic orbit under a strength wave against SciPy's integration, and against formulas ---
 
@@ -234,17 +233,6 @@ def test_an_undamped_share_never_settles(r1_scene):
     assert "nothing damps a deviation from the orbit" in warning
 
 
-def test_a_share_near_an_unstable_orbit_is_followed_for_the_stated_time():
-    run = po.simulate(scene_of(stiffness=2e4, strength_wave=SHORT_WAVE, damping=20.0, orbit="periodic"))
-    found = run.settles
-    assert max(map(abs, run.floquet)) > 1.5
-    assert found.orbit is not True
-    assert found.wavelengths * run.accuracy.steps <= MOST_STEPS + 32 * run.accuracy.steps
-    if found.orbit is None:
-        assert f"has not settled after {found.wavelengths} wavelengths" in found.text
-        assert found.averaged == 256
-
-
 # --- periodic orbits of many designs at once against single orbits ---
 
 # A common period of 0.6 m.
@@ -335,14 +323,6 @@ def test_a_batch_finds_single_orbits_with_honest_errors(designs, batch_of, kind,
     )
 
 
-@pytest.mark.usefixtures("no_compiler")
-def test_without_a_compiler_orbits_are_the_same(designs, batch_of):
-    rows = designs["damped"][:3]
-    found, runs = batch_of.__wrapped__("damped")(rows), [single("damped", row) for row in rows]
-    wanted = [np.nan if k in found.reasons else run.mean_draft for k, run in enumerate(runs)]
-    assert found.mean_draft == pytest.approx(wanted, rel=1e-9, nan_ok=True)
-
-
 def test_orbits_that_a_batch_refuses(r1_scene):
     damping, wave = ca.MX.sym("damping"), po.StrengthWave(0.3, 0.6)
 
@@ -356,9 +336,3 @@ def test_orbits_that_a_batch_refuses(r1_scene):
     ):
         with pytest.raises(po.InputError, match=match):
             call()
-
-
-def test_a_standing_share_has_no_orbit(batch_of, designs):
-    rows = designs["damped"][:2].copy()
-    rows[1, 4] = 0.0
-    assert "a standing share has no orbit" in batch_of("damped")(rows).reasons[1]

@@ -1,6 +1,5 @@
 """Resistances of a user's own class and other laws; the public equation of motion."""
 
-import dataclasses
 import pickle
 from dataclasses import dataclass
 
@@ -21,7 +20,7 @@ from scipy.optimize import minimize_scalar
 import plough_opt as po
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, exp, where
-from plough_opt.laws import LAWS, AsabeD497, McKyesAli, SphericalCavity, SwickPerumpral, UniversalEarthmoving
+from plough_opt.laws import AsabeD497, McKyesAli, SphericalCavity, SwickPerumpral, UniversalEarthmoving
 from plough_opt.motion.solvers import verified
 
 WAVE = po.StrengthWave(0.3, 0.2)
@@ -76,19 +75,6 @@ def test_a_stiff_own_resistance(damping, ground, method):
     # The default error, which a named method's tolerance of 1e-10 reaches too.
     np.testing.assert_allclose(run.deflection, exact, rtol=0.0, atol=1e-8 * np.max(np.abs(exact)))
     assert run.error_estimate < 1e-8
-
-
-def test_a_named_method_checks_itself_where_steps_of_order_8_are_too_long():
-    bed = Own(lambda travel, speed: where(travel > 0.3, 1e5, 0.0) * speed)
-    runs = [po.simulate(scene_of(own=(bed,)), 0.3, accuracy=po.Accuracy(method)) for method in ("erk", "rosenbrock")]
-    assert runs[0].mean_draft == pytest.approx(runs[1].mean_draft, rel=1e-9)
-    assert all(abs(run.mean_draft / runs[1].mean_draft - 1.0) <= run.error_estimate < 1e-7 for run in runs)
-
-
-def test_a_resistance_in_two_parts_takes_the_steps_of_the_whole():
-    whole, half = Shank(viscous=8e3), Shank(viscous=4e3)
-    runs = [po.simulate(scene_of(own=own, strength_wave=WAVE), 0.5) for own in ((whole,), (half, half))]
-    assert runs[0].accuracy == runs[1].accuracy
 
 
 # --- jumps, and forces that run away ---
@@ -300,15 +286,6 @@ def test_parameters_are_differentiable_and_in_any_graph():
     assert "  parameters[1]  scene.stiffness  50000  N/m\n" in str(equation)
 
 
-def test_a_parameter_that_is_zero_in_the_scene_has_its_effect():
-    shifted = scene_of(strength_wave=po.StrengthWave(0.3, 0.2, phase=1.0)).equation()
-    equation = scene_of(strength_wave=po.StrengthWave(0.3, 0.2)).equation(parameters=("effects.strength_wave.phase",))
-    at = flat(shifted.start([], []))
-    # The same operations in both graphs, so that only the last digits may differ.
-    assert flat(equation.rate(0.0, at, [], [1.0])) == pytest.approx(flat(shifted.rate(0.0, at, [], [])), rel=1e-13)
-    assert flat(equation.rate(0.0, at, [], [0.0]))[1] != pytest.approx(flat(shifted.rate(0.0, at, [], []))[1], rel=0.01)
-
-
 def equation(effects, **asked):
     return lambda: scene_of(**effects).equation(**asked)
 
@@ -412,88 +389,6 @@ def test_a_redefined_class_is_another_law():
     assert solve(limited(1e9)).variables["force"] == pytest.approx(1e3)
     with pytest.raises(po.DomainError, match=r"upper bound of 'force'.*force = 5000 N"):
         solve(limited(4e3))
-
-
-SEED, COUNT = 1977, 24
-# Name of an input, its unit, and the range of random values.
-RANGES = {
-    "wedge": ("rad", po.deg(5.0), po.deg(60.0)),
-    "chisel": ("rad", po.deg(10.0), po.deg(89.0)),
-    "height": ("m", -0.05, 0.5),
-    "speed": ("m/s", 0.5, 6.0),
-    "modulus": ("Pa", 1e5, 3e6),
-}
-
-
-def drawn_scene(law, wedge, chisel, height, speed, modulus, *, motion):
-    soil = dataclasses.replace(SEROZEM, youngs_modulus=modulus)
-    wavy = {"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 400.0} if motion else {}
-    return scene_of(soil, po.Wedge(wedge, chisel, height), 5e5, 40.0, speed, law, motion=motion, **wavy)
-
-
-def rows():
-    rng = np.random.default_rng(SEED)
-    lower, upper = np.array([ends[1:] for ends in RANGES.values()]).T
-    values = lower + (upper - lower) * rng.random((COUNT, len(RANGES)))
-    values[:, -1] = np.exp(rng.uniform(*np.log([lower[-1], upper[-1]]), COUNT))
-    return values
-
-
-def outcome(evaluate):
-    """Return a draft [N], or the message of a refusal."""
-    try:
-        return evaluate()
-    except po.PloughError as error:
-        return str(error)
-
-
-def by_component(law, row):
-    inputs = [
-        po.Input(
-            name, symbol=ca.MX.sym(name), unit=unit, lower=value - 1e-9 * abs(value), upper=value + 1e-9 * abs(value)
-        )
-        for (name, (unit, *_)), value in zip(RANGES.items(), row, strict=True)
-    ]
-    symbols = [one.symbol for one in inputs]
-    made = po.component(drawn_scene(law, *symbols, motion=False), 0.1, inputs=inputs, outputs=["mean_draft"])
-    return made(*row)
-
-
-def by_design(law, row):
-    sizes = zip(RANGES.items(), row.tolist(), strict=True)
-    near = {name: (v, v - 1e-9 * abs(v), v + 1e-9 * abs(v), unit) for (name, (unit, *_)), v in sizes}
-    d, *symbols = design(**near)
-    d.minimise(po.simulate(drawn_scene(law, *symbols, motion=False), 0.1).mean_draft / 1e3)
-    return 1e3 * d.solve(search="near").objective
-
-
-# The graph of the elastic medium takes seconds to build.
-CASES = [pytest.param(law, 2, marks=[pytest.mark.slow] * (law == "elastic")) for law in LAWS]
-CASES += [pytest.param(law, COUNT, marks=pytest.mark.slow) for law in LAWS if law != "elastic"]
-
-
-@pytest.mark.parametrize(("law", "count"), CASES)
-def test_all_refuse_the_same_designs_for_the_same_reason(law, count):
-    every, symbols = rows()[:count], [ca.MX.sym(name) for name in RANGES]
-    steady = LAWS[law].lacking.get("motion")
-    batch = None if steady else po.Batch(drawn_scene(law, *symbols, motion=True), 0.1, symbols)(every)
-    refused = 0
-    for k, row in enumerate(every):
-        single = outcome(lambda row=row: po.simulate(drawn_scene(law, *row.tolist(), motion=False), 0.1).mean_draft)
-        others = [outcome(lambda row=row: by_component(law, row)), outcome(lambda row=row: by_design(law, row))]
-        if isinstance(single, str):
-            refused += 1
-            noun = single.split(" = ")[0]
-            assert all(isinstance(other, str) and noun in other for other in others), (noun, others)
-            if batch is not None:
-                assert noun in batch.reasons[k]
-        else:
-            # The component's and the design's boxes extend by 1e-9 of each value.
-            assert others == pytest.approx([single, single], rel=1e-7)
-            if batch is not None:
-                moving = po.simulate(drawn_scene(law, *row.tolist(), motion=True), 0.1).mean_draft
-                assert batch.mean_draft[k] == pytest.approx(moving, rel=1e-5)
-    assert 0 < refused < count or count < COUNT
 
 
 def test_a_component_refuses_a_call_outside_the_domain_between_its_bounds():

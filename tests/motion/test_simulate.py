@@ -4,7 +4,6 @@ import dataclasses
 import math
 import pickle
 import re
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -14,7 +13,6 @@ from helpers.problem_files import SUBSOILER
 from helpers.scenes import ARRAYS, AVERAGES, R1_RUNS, R1_SOIL, assert_alike, results_of, scene_of
 
 import plough_opt as po
-from plough_opt.problem_file.sweep import ProblemSweep
 
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.6)
 FINE = po.Accuracy("dop853", steps=3200)
@@ -251,14 +249,6 @@ def test_a_broken_wave_is_pointed_out_if_it_matters(seed):
     assert broken(whole) is None
 
 
-def test_what_has_no_whole_wave_warns_of_none():
-    for duration, effects in ((0.05, {"strength_wave": po.StrengthWave(0.5, 0.6)}), (0.77, {})):
-        assert broken(po.simulate(scene_of(**effects), duration)) is None
-    assert (
-        broken(po.simulate(scene_of(strength_wave=po.StrengthWave(0.3, 0.2), orbit="periodic", damping=300.0))) is None
-    )
-
-
 AVERAGED = [
     (("scene.tow_speed=7.8 km/h",), 21 * 0.2 / (7.8 / 3.6)),
     (("scene.tow_speed=7.2 km/h",), 2.0),
@@ -277,21 +267,6 @@ def test_files_average_over_whole_waves(changes, expected):
     assert run.mean_draft == pytest.approx(by_hand.mean_draft, rel=1e-9)
 
 
-def test_designs_sweeps_and_components_average_over_whole_waves():
-    problem = po.read_problem(SUBSOILER, [WHOLE, "scene.duration=0.5 s"])
-    speeds = [1.0, 1.3, 1.7, 2.3]
-    each = [problem.simulate({"scene.tow_speed": speed}) for speed in speeds]
-    assert [run.duration for run in each] == pytest.approx([np.floor(0.5 * v / 0.2 + 1e-9) * 0.2 / v for v in speeds])
-    batch = ProblemSweep.of(problem, {"scene.tow_speed": speeds}, method="batch").evaluation
-    drafts = [answer.results["mean_draft"] for answer in batch.many([{"scene.tow_speed": speed} for speed in speeds])]
-    assert drafts == pytest.approx([run.mean_draft for run in each], rel=1e-5)
-    component = problem.component(["scene.tow_speed"], ["mean_draft"])
-    assert float(component(scene_tow_speed=1.7)["mean_draft"]) == pytest.approx(each[2].mean_draft, rel=1e-5)
-    design, run = problem.design(parameters=True)
-    assert "scene.duration" not in {p.name for p in design.declared.parameters if ca.depends_on(ca.jacobian(
-        run.duration, p.symbol), p.symbol)}  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("changes", "word"),
     [((WHOLE, "effects={}"), "strength wave"), ((WHOLE, "effects.orbit=periodic"), "transient"),
@@ -300,11 +275,3 @@ def test_designs_sweeps_and_components_average_over_whole_waves():
 def test_whole_waves_of_nothing_are_refused(changes, word):
     with pytest.raises(po.InputError, match=word):
         po.read_problem(SUBSOILER, changes)
-
-
-def test_the_optimum_does_not_depend_on_the_duration_of_whole_waves():
-    problem = po.read_problem(SUBSOILER, [WHOLE, "scene.duration=0.45 s", "scene.tow_speed=2.1 m/s"])
-    best, _ = problem.optimise(search="near", parameters=True)
-    assert best.sensitivity("scene.duration").elasticity == pytest.approx(0.0, abs=1e-9)
-    plain, _ = replace(problem, table=po.read_problem(SUBSOILER).table).optimise(search="near", parameters=True)
-    assert abs(plain.sensitivity("scene.duration").elasticity) > 1e-4

@@ -7,11 +7,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
-from helpers.differences import differences, order_4
+from helpers.differences import differences
 from helpers.forces import Forces
 from helpers.linear_motion import released
 from helpers.scenes import BLUNT, R1_SOIL, SHARP, Shank, scene_of
-from helpers.small_designs import design
 from scipy.integrate import quad
 
 import plough_opt as po
@@ -56,28 +55,6 @@ def test_an_independent_solver_agrees(width, effects):
     three_modes.agreed(smooth_scene(po.Smooth(width), **effects), 1.0, allowed=5e-8, resistance=20.0)
 
 
-def test_a_share_that_retreats_carries_a_warning():
-    run = po.simulate(
-        smooth_scene(po.Smooth(0.05), 1e4, 2.0, start="rest", strength_wave=po.StrengthWave(1.0, 0.6)), 3.0
-    )
-    (warning,) = [text for text in run.warnings if "retreats" in text]
-    assert f"{-min(run.speed):.3g} m/s" in warning
-    assert "the smooth contact ignores the gap" in warning
-    back = run.speed < 0.0
-    assert np.any(back)
-    # Only the added mass acts on a retreating share.
-    force = run.scene.reaction.added_mass / run.scene.inertia * run.mount_force
-    assert run.soil_resistance[back] == pytest.approx(force[back], rel=1e-9, abs=1e-6)
-
-
-@pytest.mark.parametrize("width", [2.0, 0.1, 1e-3])
-def test_a_narrow_step_takes_far_fewer_equal_steps_than_would_resolve_its_slope(width):
-    """Equal steps that resolve the step's slope everywhere would be 300,000 at the narrowest width."""
-    run = po.simulate(smooth_scene(po.Smooth(width), start="rest", strength_wave=WAVE), 1.0)
-    assert run.error_estimate <= 1e-8
-    assert (run.accuracy.steps or 0) <= 20_000
-
-
 @pytest.mark.parametrize("contact", [po.Smooth(0.5), po.Smooth(2.5), po.Smooth(20.0), "resisting", po.StickSlip(1.1)])
 def test_a_settled_share_has_the_steady_resistance(contact):
     own = () if isinstance(contact, po.StickSlip) else (Shank(100.0, 50.0),)
@@ -107,10 +84,6 @@ TIGHT = po.Accuracy("erk", tolerance=1e-13)
 def grazing_scene(stiffness=STIFFNESS, speed=SPEED, damping=0.0, breakaway=1.0, inertial_drag=False, **effects):
     sticky = {"start": "rest", "contact": po.StickSlip(breakaway), "inertial_drag": inertial_drag}
     return scene_of(stiffness=stiffness, tow_speed=speed, damping=damping, **sticky, **effects)
-
-
-def waved(amplitude, wavelength):
-    return grazing_scene(strength_wave=po.StrengthWave(amplitude, wavelength))
 
 
 def duration(cycles=3.3):
@@ -160,18 +133,6 @@ def test_value_and_derivatives_are_those_of_the_exact_motion(cycles, accuracy, a
     assert np.max(np.abs(found[:2] * scales - expected) / value[:, None]) < allowed
 
 
-def test_a_wave_that_keeps_it_moving_has_that_derivative():
-    wavelength = 0.3
-    here = np.array(results_of(grazing_scene()))
-    derivatives = slopes(lambda amplitude: waved(amplitude, wavelength), [0.0])[:, 0]
-    assert three_modes.follow(waved(1e-4, wavelength), duration()).count(0, 1) == 0
-    size = np.max(np.abs(derivatives / here)) * np.abs(here)
-    left = [(np.array(results_of(waved(h, wavelength))) - here) / h - derivatives for h in (2e-4, 1e-4)]
-    # A forward difference is of first order.
-    assert np.max(np.abs(left[1]) / size) < 2e-3
-    assert np.linalg.norm(left[0] / size) / np.linalg.norm(left[1] / size) == pytest.approx(2.0, rel=0.05)
-
-
 # --- the quasi-static limit against adaptive quadrature ---
 
 
@@ -214,19 +175,6 @@ def test_smallest_wave_keeps_its_digits(r1_scene):
     # Whole waves: RMS eps F0/sqrt(2). It is 1e-9 of the mean draft.
     run = po.simulate(r1_scene(motion=False, strength_wave=po.StrengthWave(1e-9, 0.5)), 2.0)
     assert run.force_rms == pytest.approx(1e-9 * run.scene.reaction.static / math.sqrt(2), rel=1e-8)
-
-
-@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-def test_averages_over_three_hundred_waves_do_not_depend_on_the_outputs(r1_scene, kind):
-    def averages(height, outputs):
-        scene = r1_scene(height=height, motion=False, strength_wave=po.StrengthWave(0.5, 0.013), tow_ramp=0.1)
-        run = po.simulate(scene, 2.0, outputs=outputs)
-        return [run.mean_draft, run.force_rms]
-
-    x = kind.sym("height")
-    found = ca.Function("averages", [x], [*averages(x, 1), *averages(x, 37)])(0.25)
-    # Panels of half a radian with 4 Gauss points leave about 1e-12.
-    assert [float(part) for part in found] == pytest.approx(averages(0.25, 400) * 2, rel=1e-9)
 
 
 # --- equation (27) as printed: a spring that repels, from equilibrium, to overflow, and in a design ---
@@ -290,21 +238,6 @@ def test_small_waves_add_up_in_an_orbit():
     assert together.force_rms == pytest.approx(math.sqrt(sum(run.force_rms**2 for run in alone)), rel=1e-4)
 
 
-@pytest.mark.parametrize("name", ["amplitude", "wavelength", "phase"])
-def test_derivatives_by_each_number(name):
-    x = ca.MX.sym("x")
-    value = getattr(WAVES[1], name)
-
-    def changed(new):
-        return waved_scene((WAVES[0], replace(WAVES[1], **{name: new}), WAVES[2]))
-
-    rms = po.simulate(changed(x), 1.0).force_rms
-    slope = float(ca.Function("slope", [x], [ca.jacobian(rms, x)])(value))
-    # Steps of 1e-3 have an error of about 1e-9.
-    expected = order_4(lambda new: float(po.simulate(changed(new), 1.0).force_rms), value, 1e-3 * value)
-    assert slope == pytest.approx(expected, rel=1e-6)
-
-
 def wave(amplitude, wavelength=0.6):
     return po.StrengthWave(amplitude, wavelength)
 
@@ -364,36 +297,7 @@ def test_a_share_breaks_loose_soon_after_the_start(density_ratio, stiffness):
     assert run.mode[-1] == three_modes.SLIP
 
 
-def test_a_share_that_hardly_moves_has_not_stopped():
-    # In the first milliseconds of a ramp the share's speed is a rounded difference, which must not trigger an event.
-    strong, slender = replace(R1_SOIL, cohesion=4e4, ambient_pressure=3e5), po.Wedge(po.deg(4.0), po.deg(15.0), 0.05)
-    effects = {"start": "towed", "entry": True, "tow_ramp": 0.07, "added_mass": False}
-    scene = scene_of(strong, slender, 260.0, 13.0, 0.2, contact=po.StickSlip(2.5), **effects)
-    for duration in (0.045, 0.06, 0.3, 2.0):
-        run, _ = three_modes.agreed(scene, duration)
-        assert run.error_estimate < 1e-8
-
-
 # --- designs ---
-
-
-@pytest.mark.parametrize("contact", [po.Smooth(0.2), po.StickSlip(1.2)], ids=str)
-def test_a_design_finds_what_brute_force_finds(contact):
-    effects = {"contact": contact, "start": "rest", "strength_wave": wave(0.6, 0.3), "damping": 200.0}
-
-    def cost(stiffness):
-        run = po.simulate(scene_of(R1_SOIL, SHARP, stiffness, 24.0, 1.0, **effects), 1.0, outputs=10)
-        return (run.mean_draft + run.force_rms) / 1e3
-
-    d, k0 = design(stiffness=(1.5e4, 5e3, 5e4, "N/m", True))
-    d.minimise(cost(k0))
-    best = d.solve()
-    found = cost(best(k0))
-    assert best.status == "solved"
-    assert best.objective == pytest.approx(found, rel=1e-7)
-    # No sampled stiffness is better than the design, and its neighbours on either side are worse.
-    assert found <= min(map(cost, np.geomspace(5e3, 5e4, 30).tolist())) + 1e-7
-    assert all(cost(min(max(best(k0) * factor, 5e3), 5e4)) >= found - 1e-9 for factor in (0.995, 1.005))
 
 
 def test_a_missed_event_is_an_error():

@@ -140,15 +140,6 @@ def test_symbols_move_with_the_table(effects):
     assert float(slope) == pytest.approx(difference, rel=1e-5)
 
 
-def test_a_component_moves_with_the_table():
-    scene = scene_of(tow_speed=2.5, tow_profile=PROFILE, **EFFECTS[0])
-    stiffness = po.Input("scene.stiffness", 3e4, 6e4)
-    part = po.component(scene, duration=1.2, inputs=[stiffness], outputs=["force_rms", "tow_power"])
-    run = po.simulate(scene, 1.2)
-    assert part(5e4) == pytest.approx([run.force_rms, run.tow_power], rel=1e-8)
-    assert not any("whole waves" in text for text in run.warnings)  # their time is that at constant speed
-
-
 def test_a_run_keeps_its_tow_speed_in_a_file(tmp_path):
     run = po.simulate(scene_of(), 1.2, tow_speed=TABLE)
     (tmp_path / "run.json").write_text(run.to_json())

@@ -16,21 +16,13 @@ from plough_opt.motion.run import Averages, Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.solvers import plan
 
-# exp of a larger exponent overflows.
-_MOST_GROWTH: Final = 700.0
-# A backward speed below this fraction of the fastest speed is rounding, not a retreat.
-_RETREAT = 1e-9
 # A slipping share with a backward speed above this fraction of the fastest speed shows that its stop was missed. A
 # smaller one is due to rounding of the time of the stop.
 _MISSED = 1e-5
-# Part of a wave that may be missing by rounding.
-_WHOLE_WAVES: Final = 1e-9
 # Change of the mean draft by a broken wave that deserves a warning [%].
 BROKEN_WAVE: Final = 0.5
 # Places in a wavelength at which own resistances are compared with those one wavelength further on.
 _OWN_PLACES = 16
-# Relative difference of such resistances that is due to rounding of the travel.
-_OWN_ROUNDING = 1e-9
 
 
 class Escape(IntegrationError):
@@ -110,7 +102,8 @@ def refuse_drifting_own(scene: Scene) -> None:
     at = [(place, part * p["tow_speed"]) for place in places for part in (0.5, 1.0, 1.5)]
     both = np.array([(force(place, speed), force(place + p["wavelength"], speed)) for place, speed in at])
     both = both[np.isfinite(both).all(axis=1)]  # the integration reports the others, if the share comes there
-    if np.any(np.abs(both[:, 0] - both[:, 1]) > _OWN_ROUNDING * np.max(np.abs(both), initial=0.0)):
+    # Relative difference of such resistances that is due to rounding of the travel.
+    if np.any(np.abs(both[:, 0] - both[:, 1]) > 1e-9 * np.max(np.abs(both), initial=0.0)):
         names = ", ".join(type(effect).__name__ for effect in scene.effects.own)
         raise InputError(
             f"own effects ({names}) have another resistance one wavelength ({p['wavelength']:g} m) further on, so no"
@@ -120,7 +113,8 @@ def refuse_drifting_own(scene: Scene) -> None:
 
 def refuse_runaway(scene: Scene, duration: float) -> None:
     """Raise Escape if a repelling spring drives the share beyond the range of floating point before the end."""
-    if scene.effects.printed.repelling_spring and _growth(scene) * duration > _MOST_GROWTH:
+    # exp of a larger exponent overflows.
+    if scene.effects.printed.repelling_spring and _growth(scene) * duration > 700.0:
         raise Escape(f"the motion of a {scene.describe()} overflows within {duration:g} s: {_runaway(scene)}")
 
 
@@ -258,7 +252,8 @@ def broken_wave(run: Run) -> tuple[str, ...]:
         return ()
     duration = float(run.duration)
     period = max(float(wave.wavelength) for wave in waves) / float(run.scene.tow_speed)
-    count = math.floor(duration / period + _WHOLE_WAVES)
+    # Part of a wave that may be missing by rounding.
+    count = math.floor(duration / period + 1e-9)
     if count < 1:
         return ()
     until, force, intervals = min(count * period, duration), run.mount_force, len(run.time) - 1
@@ -287,7 +282,8 @@ def retreat(run: Run) -> tuple[str, ...]:
     """Return a warning if the share retreats at an output time under a contact law without gaps."""
     contact = run.scene.effects.contact
     slowest = float(np.min(run.speed))
-    if slowest >= 0.0 or isinstance(contact, StickSlip) or slowest >= -_RETREAT * float(np.max(np.abs(run.speed))):
+    # A backward speed below this fraction of the fastest speed is rounding, not a retreat.
+    if slowest >= 0.0 or isinstance(contact, StickSlip) or slowest >= -1e-9 * float(np.max(np.abs(run.speed))):
         return ()
     law = (
         "under contact 'resisting' the soil then pushes it backwards, which real soil does not do"

@@ -319,10 +319,10 @@ class ManyRuns:
 
     def _interpret(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
         """Return the same by CasADi: the runs of each number of steps by one loop."""
-        results, ramp = [], self._structure.ramp
+        results = []
         for count in np.unique(steps):
             alike = np.flatnonzero(steps == count)
-            timeline = Timeline(outputs or 1, int(count), aligned=ramp, moving=ramp)
+            timeline = Timeline(outputs or 1, int(count))
             run = run_from(self._equation, timeline).map(len(alike))
             states, *averages = (np.asarray(part).T for part in run(first[alike].T, p[alike].T))
             read = states.reshape(len(alike), -1) if outputs else np.empty((len(alike), 0))

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.compiler import Variant, in_machine_code
-from plough_opt.core.expressions import Column
 from plough_opt.motion.equation import Equation
 from plough_opt.motion.methods import DOP853
 from plough_opt.motion.solvers.integrators import Integration, integration
@@ -27,7 +26,6 @@ from plough_opt.motion.solvers.steps import (
     OneStep,
     Timeline,
     at_outputs,
-    moving_ramp,
     pairs,
     pooled,
     product,
@@ -40,10 +38,6 @@ _Symbols = TypeVar("_Symbols", ca.SX, ca.MX)
 # Runs whose derivatives are checked, out of all that were given: as many as take this number of steps together, which
 # is a second, but within these limits. If all runs take more, their steps are compiled, which takes a second, too.
 _MOST_CHECKED_STEPS = 10_000
-_MOST_RUNS = 8
-_FEWEST_RUNS = 2
-# An RMS below this part of the mean counts as that part, because a smaller oscillation is rounding.
-_LEAST_RMS = 1e-3
 # -O2 takes the compiler 1.6 times as long for a step that is a third faster.
 _VARIANTS: tuple[Variant, ...] = ((("-O1",), ("-lm",)),)
 
@@ -109,8 +103,7 @@ def jets(
         the second derivatives of `pairs`.
     """
     p = ca.MX.sym("p", len(equation.names) + 1)
-    first, ramp_part = _at_start(equation, varying, order)(p)
-    whole = _jets_from(equation, timeline, varying, order, compiled)(first, ramp_part, p)
+    whole = _jets_from(equation, timeline, varying, order, compiled)(_at_start(equation, varying, order)(p), p)
     return ca.Function("jets", [p], [whole])
 
 
@@ -118,22 +111,19 @@ def jets(
 def _jets_from(
     equation: Equation, timeline: Timeline, varying: tuple[int, ...], order: int, compiled: bool
 ) -> ca.Function:
-    """Return (jet of the state at time 0, jet of the ramp's part of the duration, parameters) -> result of `jets`."""
-    (p, known), count = equation.symbols(ca.MX), len(varying)
-    ramp = moving_ramp(timeline, known)
-    spans = spans_of(timeline, p[-1], ramp)
+    """Return (jet of the state at time 0, parameters) -> result of `jets`."""
+    (p, _), count, spans = equation.symbols(ca.MX), len(varying), spans_of(timeline)
     steps, width = spans.shape[1], _width(count, order)
-    first, ramp_part = ca.MX.sym("first", 2, width), ca.MX.sym("ramp_part", 1, width)
-    one = (_compiled_jet_step if compiled else _jet_step)(equation, varying, order, spans.shape[0])
+    first = ca.MX.sym("first", 2, width)
+    one = (_compiled_jet_step if compiled else _jet_step)(equation, varying, order)
     states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
-    moving = None if ramp is None else (ramp_part, spans[3, :])
-    averages = pooled(moments, spans[1, :], equation.count, count, moving)
+    averages = pooled(moments, spans[1, :], equation.count, count)
     # Rows of w and below them of w', each with a row for each column of the jet.
     places = [*range(0, 2 * width, 2), *range(1, 2 * width, 2)]
     paths = ca.horzcat(ca.vec(first), ca.reshape(states, 2 * width, steps))[places, :]
     is_duration = [position == p.numel() - 1 for position in varying]
-    read = _read(timeline, paths, (p[-1], ramp), is_duration)
-    return ca.Function("jets_from", [first, ramp_part, p], [ca.vertcat(read, *averages)])
+    read = _read(timeline, paths, p[-1], is_duration)
+    return ca.Function("jets_from", [first, p], [ca.vertcat(read, *averages)])
 
 
 @lru_cache(maxsize=64)
@@ -152,24 +142,24 @@ def _orbit_jets(equation: Equation, timeline: Timeline, varying: tuple[int, ...]
     jet, width = start, 1
     for each in range(1, order + 1):
         unfinished = ca.horzcat(jet, ca.MX.zeros(2, _width(count, each) - width))
-        whole = _jets_from(equation, timeline, varying, each, False)(unfinished, ca.MX.zeros(1, unfinished.shape[1]), p)
+        whole = _jets_from(equation, timeline, varying, each, False)(unfinished, p)
         added = ca.solve(ca.MX.eye(2) - slopes[end, :], whole[end, width:])
         jet, width, before = ca.horzcat(jet, added), unfinished.shape[1], width
     result = ca.horzcat(whole[:, :before], whole[:, before:] + slopes @ added)
     return ca.Function("orbit_jets", [p], [result])
 
 
-def _read(timeline: Timeline, paths: ca.MX, times: tuple[ca.MX, ca.MX | None], is_duration: list[bool]) -> ca.MX:
+def _read(timeline: Timeline, paths: ca.MX, duration: ca.MX, is_duration: list[bool]) -> ca.MX:
     """Return the jets of the states at the outputs, output by output, from those at the ends of the steps.
 
     Args:
         timeline: steps and outputs.
         paths: jets of w and below them of w', a column for each end.
-        times: duration of the run [s], and time of a tow ramp at whose end a step ends [s].
+        duration: of the run [s].
         is_duration: whether each varying parameter is the duration, on which the interpolation depends.
     """
-    (duration, ramp), width = times, paths.shape[0] // 2
-    found = at_outputs(timeline, paths, duration, ramp)
+    width = paths.shape[0] // 2
+    found = at_outputs(timeline, paths, duration)
     found = ca.reshape(found, width, 2 * found.shape[1]).T
     if timeline.aligned or not any(is_duration):
         return found
@@ -191,19 +181,16 @@ def _read(timeline: Timeline, paths: ca.MX, times: tuple[ca.MX, ca.MX | None], i
 
 
 def _at_start(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Function:
-    """Return parameters -> (jet of the state at time 0, jet of the ramp's part of the duration, 0 without a ramp)."""
+    """Return parameters -> jet of the state at time 0."""
     p, e = ca.SX.sym("p", len(equation.names) + 1), ca.SX.sym("e", len(varying))
     shifted = ca.SX(p)
     shifted[list(varying)] = p[list(varying)] + e
-    known = equation.named(shifted)
-    part: Column = known["ramp_time"] / shifted[-1] if equation.structure.ramp else ca.SX(0)
-    both = (_taylor(ca.densify(ca.SX(y)), e, order) for y in (equation.structure.start_state(known), part))
-    nothing = ca.SX.zeros(e.numel())
-    return ca.Function("at_start", [p], [ca.densify(ca.substitute(jet, e, nothing)) for jet in both])
+    jet = _taylor(ca.densify(ca.SX(equation.structure.start_state(equation.named(shifted)))), e, order)
+    return ca.Function("at_start", [p], [ca.densify(ca.substitute(jet, e, ca.SX.zeros(e.numel())))])
 
 
 @lru_cache(maxsize=64)
-def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, width: int) -> ca.Function:
+def _jet_step(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return one step: (jet of the state, span, parameters) -> (jet of the state after it, jet of the moments).
 
     The derivatives solve the equation of motion expanded at every stage. Differentiating the whole step by CasADi gives
@@ -214,12 +201,11 @@ def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, width: i
         equation: the equation of motion.
         varying: positions of the parameters to differentiate by.
         order: of the derivatives.
-        width: of the span: see `OneStep`.
     """
-    count, one = len(varying), OneStep.of(equation, width)
+    count, one = len(varying), OneStep.of(equation)
     p, span, start, size = one.p, one.span, one.start, one.size
     jet = ca.SX.sym("jet", 2, _width(count, order))
-    # Derivatives of the step's start and size: zero unless the duration or the ramp time varies.
+    # Derivatives of the step's start and size: zero unless the duration varies.
     lateness, lengthening = (ca.jacobian(time, p[list(varying)]) for time in (start, size))
 
     def moved(weights: Sequence[float], rates: Sequence[ca.SX]) -> ca.SX:
@@ -237,7 +223,7 @@ def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, width: i
         return following
 
     # With the symbols of the step, so that all stages share what depends on the parameters alone.
-    at = _expanded(one.equation, varying, order, (p, span))
+    at = _expanded(equation, varying, order, (p, span))
     _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p, span)
     found: list[list[ca.SX]] = []
     for row, node in zip(DOP853.stages, DOP853.nodes, strict=True):
@@ -254,9 +240,9 @@ def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, width: i
 
 
 @lru_cache(maxsize=64)
-def _compiled_jet_step(equation: Equation, varying: tuple[int, ...], order: int, width: int) -> ca.Function:
+def _compiled_jet_step(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return `_jet_step` in machine code, some ten times as fast; without a compiler as it is."""
-    step = _jet_step(equation, varying, order, width)
+    step = _jet_step(equation, varying, order)
     (compiled,) = in_machine_code([step], _VARIANTS) or (step,)
     return compiled
 
@@ -279,7 +265,7 @@ def _expanded(equation: Equation, varying: tuple[int, ...], order: int, symbols:
     moment, jet = ca.SX.sym("moment", 1, 1 + count), ca.SX.sym("jet", 2, _width(count, order))
     first = ca.SX.sym("first", equation.count, jet.shape[1])
     p, span = symbols
-    parameters, e = ca.vertcat(p[:-1], span[4:]), p[list(varying)]
+    parameters, e = p[:-1], p[list(varying)]
     time, state = moment[0], jet[:, 0]
     value = ca.vertcat(equation.rate(time, state, parameters), equation.signals(time, state, parameters))
     given = ca.vertcat(time, state, e)
@@ -329,7 +315,7 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
     order = 2 if solver.accuracy.order_8 else 1
     many = solver.timeline.steps * given.shape[1] > _MOST_CHECKED_STEPS
     both = [jets_of(one, varying, order, compiled=many) for one in (solver, finer_than(solver))]
-    most = max(_FEWEST_RUNS, min(_MOST_RUNS, _MOST_CHECKED_STEPS // solver.timeline.steps))
+    most = max(2, min(8, _MOST_CHECKED_STEPS // solver.timeline.steps))
     chosen = np.unique(np.linspace(0, given.shape[1] - 1, most).round().astype(int))
     worst = 0.0
     for p in given.T[chosen]:
@@ -382,7 +368,8 @@ def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vec
     sizes[mean:square] = size[mean:square]
     for k, least in enumerate(means):
         sizes[mean + k] = max(least, sizes[mean + k])
-        sizes[square + k] = max((_LEAST_RMS * sizes[mean + k]) ** 2, size[square + k])
+        # An RMS below this part of the mean counts as that part, because a smaller oscillation is rounding.
+        sizes[square + k] = max((1e-3 * sizes[mean + k]) ** 2, size[square + k])
     # The states after the first two, such as the mode, have no derivatives.
     compared = np.r_[np.arange(averages) % states < 2, np.ones(equation.averages, dtype=bool)]
     compared &= (sizes > 0.0) & (np.arange(len(sizes)) >= wanted)

@@ -50,7 +50,6 @@ from plough_opt.motion.solvers.compiled_steps import CompiledSteps, compiled_ste
 from plough_opt.motion.solvers.orbit import orbit_map, without_orbit
 from plough_opt.motion.solvers.steps import GAUSS_POINTS, Array, Timeline, quadrature, run_map
 
-_MOST_EVENTS = 1_000_000
 # CasADi quotes this name in its error if a forward derivative of a forward derivative, which it lacks, is requested.
 _NAME_WITH_EVENTS = "motion_with_events_whose_second_derivatives_are_those_of_a_gradient_as_by_casadi_hessian"
 # A failure is reported once, as an IntegrationError, and not by CasADi at every attempt.
@@ -86,9 +85,8 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
         return Integration(equation, accuracy, timeline, orbit_map(equation, timeline))
     if (tableau := accuracy.tableau) is not None:
         return Integration(equation, accuracy, timeline, run_map(equation, timeline, tableau))
-    # The end of a symbolic ramp cannot be an output time, and a step across it would spoil derivatives by its time.
-    locates = timeline.moving and accuracy.locates_events
-    located = equation_of(replace(structure, locates_ramp=locates and structure.ramp))
+    # A step across the end of a ramp would spoil derivatives by its time.
+    located = equation_of(replace(structure, locates_ramp=structure.ramp and accuracy.locates_events))
     sized = _by_casadi(located, accuracy, timeline)
     p, _ = located.symbols(ca.MX)
     results = sized.call([p, located.sizes(p)])
@@ -101,7 +99,7 @@ def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> ca
     scaled, transition = _scaled_equation(equation)
     options = _options(accuracy, timeline)
     if transition is not None:
-        options |= {"transition": transition, "max_events": _MOST_EVENTS, "event_tol": 1e-12, "max_event_iter": 100}
+        options |= {"transition": transition, "max_events": 1_000_000, "event_tol": 1e-12, "max_event_iter": 100}
     # Fixed steps end at the times of the results. The kink is one of them, so that the method keeps its order.
     times = (timeline.stops if METHODS[accuracy.method].order is not None else timeline.output_fractions)[1:]
     read = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
@@ -288,10 +286,6 @@ def assemble(
     return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
 
 
-# Gauss-Legendre nodes in each panel of a symbolic run, whose graph grows with them.
-_SYMBOLIC_GAUSS_POINTS = 4
-
-
 def symbolic(scene: Scene, p: Parameters, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
     """Return the run as expressions of the scene's symbols.
 
@@ -307,7 +301,8 @@ def symbolic(scene: Scene, p: Parameters, duration: Expression, accuracy: Accura
     """
     accuracy, timeline = plan.of_symbols(scene, p, duration, accuracy, outputs)
     if not scene.effects.motion:
-        return quasi_static(scene, p, duration, timeline, accuracy, _SYMBOLIC_GAUSS_POINTS)
+        # Gauss-Legendre nodes in each panel of a symbolic run, whose graph grows with them.
+        return quasi_static(scene, p, duration, timeline, accuracy, 4)
     solver = integration(Structure.of(scene), accuracy, timeline)
     states, means, variances = embed(solver, solver.equation.column(p, duration), scene)
     return assemble(scene, p, duration, timeline.output_fractions, states.T, means, variances, accuracy)
@@ -336,7 +331,7 @@ def quasi_static(
     structure, columns = Structure.of(scene), any(map(is_casadi, (*p.values(), duration)))
     steady = structure.steady_resistance(p, scene.tow_speed)
     p = {**p, "static": _labelled(p["static"], scene)}
-    nodes, weights = quadrature(timeline, points, duration, p)
+    nodes, weights = quadrature(timeline, points)
 
     def course(fractions: Column) -> tuple[Column, Column, Column, Column]:
         """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
@@ -476,11 +471,6 @@ Results = tuple[Array, Array, Array]
 """States at the output times, a row each, means of the signals, and mean squares about them."""
 
 
-# An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
-# smaller than this part of it.
-_TOO_SMALL = 0.03
-
-
 def _sized(function: ca.Function, equation: Equation, p: list[float]) -> Results | None:
     """Return the results of an adaptive method, integrated again if quantities are far smaller than expected."""
     sizes: Array = equation.sizes(p).full().ravel()
@@ -491,7 +481,9 @@ def _sized(function: ca.Function, equation: Equation, p: list[float]) -> Results
     rms, averages = np.sqrt(np.maximum(variances, 0.0)), np.abs(means)
     averages[: rms.size] += rms
     true = np.concatenate([np.abs(states[:, :2]).max(axis=0), averages, rms])
-    small = (true > 0.0) & (true < _TOO_SMALL * sizes)
+    # An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns
+    # out smaller than this part of it.
+    small = (true > 0.0) & (true < 0.03 * sizes)
     return (_attempt(function, p, np.where(small, true, sizes)) or results) if small.any() else results
 
 

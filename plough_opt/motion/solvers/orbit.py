@@ -33,10 +33,6 @@ from plough_opt.motion.solvers.steps import Array, Timeline, run_from, step
 # an IntegrationError.
 MOST_ITERATIONS: Final = 60
 _NEWTON_OPTIONS = {"abstol": 1e-12, "max_iter": MOST_ITERATIONS, "error_on_fail": False, "show_eval_warnings": False}
-# Largest residual of a root, in units of `near_orbit`.
-_LARGEST_RESIDUAL = 1e-8
-# The unit of the unknowns is proportional to the wave amplitude only above this value, so that derivatives exist at 0.
-_LEAST_AMPLITUDE = 1e-3
 # Samples of the resistance in the shortest wavelength. Harmonics up to the 14th do not alias onto the first one.
 _SAMPLES = 16
 
@@ -60,7 +56,8 @@ def orbit_start(equation: Equation, timeline: Timeline) -> ca.Function:
     solver = ca.rootfinder("orbit", "newton", {"x": x, "p": p, "g": miss}, _NEWTON_OPTIONS)
     root = solver(x0=guess / unit, p=p)["x"]
     remaining = ca.Function("remaining", [x, p], [miss])(root, p)
-    state = ca.if_else(ca.norm_inf(remaining) < _LARGEST_RESIDUAL, root, np.nan) * unit
+    # Largest residual of a root, in units of `near_orbit`.
+    state = ca.if_else(ca.norm_inf(remaining) < 1e-8, root, np.nan) * unit
     return ca.Function("orbit_start", [p], [state])
 
 
@@ -90,7 +87,9 @@ def near_orbit(equation: Equation) -> ca.Function:
     lag: Column = n * (2.0 * math.pi / repeats * equation.structure.start_deflection(known))
     w = ca.sum2(forces) / count / known["stiffness"] + ca.sum1(cosine * ca.cos(lag) - sine * ca.sin(lag))
     turning = omega * ca.dot(n, sine * ca.cos(lag) + cosine * ca.sin(lag))
-    amplitude = sqrt(sum(known[wave_names(k)[0]] ** 2 for k in range(wave.count)) + _LEAST_AMPLITUDE**2)
+    # The unit of the unknowns is proportional to the wave amplitude only above this value, so that derivatives exist at
+    # 0.
+    amplitude = sqrt(sum(known[wave_names(k)[0]] ** 2 for k in range(wave.count)) + 1e-3**2)
     size = amplitude * known["static"] / known["stiffness"] + 1e-30
     return ca.Function("near_orbit", [p], [stacked(w, turning), stacked(size, size * omega)])
 
@@ -173,21 +172,12 @@ def without_orbit(scene: Scene) -> str:
 MOST_STEPS: Final = 50_000
 """Steps of order 8 after which a share that has not settled is given up; they take some tenths of a second."""
 
-# Limit on the wavelengths if no deviation decays or grows: more would show nothing new.
-_UNDAMPED: Final = 64
-# Most wavelengths over which a motion is averaged that does not repeat itself.
-_AVERAGED: Final = 256
 # Distance from the orbit, in half ranges of the orbit, within which linear theory certainly holds; and within which it
 # is enough that the deviation shrinks. Deviations that change the character of the motion are of order one.
 _NEAR: Final = 1e-2
-_NEAR_ENOUGH: Final = 0.3
-# Longest period that is looked for [wavelengths].
-_LONGEST_PERIOD: Final = 32
 # Largest difference of states one period apart in a motion that repeats itself, in half ranges of the orbit. A largest
 # multiplier that differs from 1 by less counts as 1.
 _REPEATS: Final = 1e-6
-# A multiplier that exceeds 1 by less may be that of an undamped mount, rounded.
-_MARGINAL_MULTIPLIER = 1e-8
 
 
 def which_motion(run: Run) -> tuple[tuple[complex, ...], Settled, tuple[str, ...]]:
@@ -205,7 +195,8 @@ def which_motion(run: Run) -> tuple[tuple[complex, ...], Settled, tuple[str, ...
     multipliers = tuple(complex(value) for value in np.linalg.eigvals(slopes.full()))
     largest = max(map(abs, multipliers))
     settled, warnings = _settled(run, equation, p, orbit, largest), []
-    if largest > 1.0 + _MARGINAL_MULTIPLIER:
+    # A multiplier that exceeds 1 by less may be that of an undamped mount, rounded.
+    if largest > 1.0 + 1e-8:
         grows = f"a deviation grows {largest:.4g} times in every wavelength, so no share stays on it"
         warnings.append(f"the orbit is unstable: {grows}")
     if not settled.orbit:
@@ -229,7 +220,8 @@ def _settled(run: Run, equation: Equation, p: ca.DM, orbit: Array, largest: floa
         largest: absolute value of its largest multiplier [-].
     """
     steps, stable = run.accuracy.steps or 1, largest < 1.0 - _REPEATS
-    limit = MOST_STEPS // steps if abs(largest - 1.0) > _REPEATS else _UNDAMPED
+    # Limit on the wavelengths if no deviation decays or grows: more would show nothing new.
+    limit = MOST_STEPS // steps if abs(largest - 1.0) > _REPEATS else 64
     at_once = max(4, min(32, MOST_STEPS // (4 * steps)))
     follow, unit = _wavelengths(equation, steps, at_once), _half_ranges(run)
     states, distances = np.zeros((1, 2)), [math.inf]
@@ -240,13 +232,14 @@ def _settled(run: Run, equation: Equation, p: ca.DM, orbit: Array, largest: floa
         if not math.isfinite(distance):
             return Settled(False, count, None, math.inf, count, math.inf, retreats=True)
         spent, nearer = count >= limit, distance <= distances[-1]
-        shrinks = spent and distance < _NEAR_ENOUGH and distance < distances[len(distances) // 2]
+        shrinks = spent and distance < 0.3 and distance < distances[len(distances) // 2]
         if stable and ((nearer and distance < _NEAR) or shrinks):
             return Settled(True, count, 1, float(run.force_rms), 1, distance, retreats=False)
         distances.append(distance)
         period = _period(states / unit, largest) if distance > _NEAR else None
         if period or spent:
-            averaged = period or min(_AVERAGED, count // 2)
+            # Most wavelengths over which a motion is averaged that does not repeat itself.
+            averaged = period or min(256, count // 2)
             force_rms, retreats = _last(run, equation, p, states[-1 - averaged], averaged)
             return Settled(False if period else None, count, period, force_rms, averaged, distance, retreats)
 
@@ -266,7 +259,8 @@ def _period(states: Array, largest: float) -> int | None:
     differ by less than rounding, which a chaotic motion would amplify, are the same.
     """
     least = max(_REPEATS * min(1.0, max(abs(1.0 - largest), _REPEATS)), 1e-13 * float(np.max(np.abs(states))))
-    for period in range(1, min(_LONGEST_PERIOD, (len(states) - 1) // 2) + 1):
+    # Longest period that is looked for [wavelengths].
+    for period in range(1, min(32, (len(states) - 1) // 2) + 1):
         if float(np.max(np.abs(states[-period:] - states[-2 * period : -period]))) < least:
             return period
     return None

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_domain
@@ -21,8 +22,6 @@ from plough_opt.motion.solvers.steps import Timeline
 OUTPUTS = 400
 """Default number of intervals between output times."""
 
-# Steps of order 8 in a symbolic run with smooth contact, which acts within a fraction of the mount's period.
-_SMOOTH_STEPS = 1600
 
 STIFF_PHASE = 1e5
 """Phase [rad] of the fastest oscillation over a run above which an implicit method is used."""
@@ -37,32 +36,14 @@ STIFF_TOLERANCE = 2e-10
 # the step length for any other.
 PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation per step of order 8 that leaves a relative error of about 1e-10."""
-# By `Rates.summed`, which scatters half as much, this phase leaves an error of 1e-8 in three of four ordinary scenes.
-_USUAL_PHASE = 0.65
 # Exponent with which the necessary number of steps follows from an error, and the safety factor on it. The error of
 # long steps first falls faster than its order.
 _ERROR_EXPONENT = 1.0 / 8.5
-_SAFETY = 1.12
 STEPS_PER_PIECE = 18
 """Least number of steps for each piece of a speed profile. Every piece then takes six at least, and its check five: as
 many in both would hide their error."""
-# Fewest steps of a run. Outputs are interpolated between eight ends of steps.
-_FEWEST_STEPS = 20
-# Most steps of a run, limited by memory.
-_MOST_STEPS_IN_MEMORY = 4_000_000
-# Phase [rad] over a run that steps of order 8 resolve within seconds.
-_ORDER_8_PHASE = 4e5
 
-# The slope of a smooth contact acts only while the share is slower than its width. Above the first phase [rad], by that
-# slope, equal steps that resolve it everywhere take ten times as long as those of an adaptive method. Up to the second
-# one that may be an explicit method, which reaches a smaller error than an implicit one.
-_SMOOTH_PHASE = 5e3
-_BRIEFLY_STIFF_PHASE = 2e6
 
-# At the tightest tolerance an adaptive method needs about 100 steps per rad. It may take three times as many.
-_ADAPTIVE_PER_PHASE = 300.0
-# Steps that an adaptive method may take in addition, to get started.
-_FEWEST_ADAPTIVE = 1e4
 # Common logarithm of the most steps of a numeric run, which CasADi counts in an int. An implicit method takes fewer.
 _LARGEST_COUNT = 9.0
 MOST_ADAPTIVE = 10_000_000
@@ -82,9 +63,6 @@ MOST_SHOT = 1e4
 
 MOST_OUTPUTS = 10_000_000
 """Most output intervals of a run, whose arrays are all in memory at once."""
-
-# An oscillation that has decayed by exp(-30) has reached the rounding of its first swing.
-_DECAYED = 30.0
 
 
 @kept
@@ -171,13 +149,16 @@ def ringing(p: Mapping[str, float], duration: float) -> float:
     inertia: float = lightest_mass(p)
     frequency = math.sqrt(abs(p["stiffness"]) / inertia)
     decay = sum(kind.rates(p).damping for kind in TERMS) / (2.0 * inertia)
-    lasts = min(duration, _DECAYED / decay) if decay > 0.0 else duration
+    # An oscillation that has decayed by exp(-30) has reached the rounding of its first swing.
+    lasts = min(duration, 30.0 / decay) if decay > 0.0 else duration
     return frequency * lasts
 
 
 def steps_for(total_phase: float, phase_per_step: float = PHASE_PER_STEP) -> int:
     """Return the number of steps of order 8 that resolve a total phase [rad]."""
-    return max(_FEWEST_STEPS, math.ceil(min(total_phase / phase_per_step, _MOST_STEPS_IN_MEMORY)))
+    # Fewest steps of a run. Outputs are interpolated between eight ends of steps.
+    # Most steps of a run, limited by memory.
+    return max(20, math.ceil(min(total_phase / phase_per_step, 4_000_000)))
 
 
 def fewest_steps(p: Mapping[str, Any]) -> int:
@@ -190,9 +171,9 @@ _timeline = lru_cache(maxsize=256)(Timeline)
 
 
 def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int, method: str | None = None) -> Timeline:
-    """Return the times of a run, which include the end of a tow ramp, numeric or symbolic.
+    """Return the times of a run, which include the end of a tow ramp if that is a number.
 
-    Steps of order 8 need not end at the outputs, which are interpolated, unless a step ends at a symbolic time.
+    Steps of order 8 need not end at the outputs, which are interpolated.
 
     Args:
         scene: the scene.
@@ -204,12 +185,16 @@ def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int, me
     effects, ramp, profile = scene.effects, scene.effects.tow_ramp, scene.effects.tow_profile
     if profile is not None and is_symbolic(duration):
         raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
-    moving = effects.ramps and (is_symbolic(ramp) or is_symbolic(duration))
     times = () if profile is None else profile.times
-    if effects.ramps and not moving:
+    if effects.ramps and not _moves(scene, duration):
         times = (float(as_number(ramp)),)
     kinks = kinks_of(times, float(as_number(duration))) if times else ()
-    return _timeline(outputs, steps, kinks, moving or method not in ORDER_8, moving)
+    return _timeline(outputs, steps, kinks, method not in ORDER_8)
+
+
+def _moves(scene: Scene, duration: Expression) -> bool:
+    """Return whether the end of a tow ramp is no fixed fraction of the run, because it or the duration is a symbol."""
+    return scene.effects.ramps and (is_symbolic(scene.effects.tow_ramp) or is_symbolic(duration))
 
 
 def kinks_of(times: tuple[float, ...], duration: float) -> tuple[float, ...]:
@@ -236,20 +221,23 @@ def of_symbols(
         return accuracy, timeline_of(scene, duration, outputs, panels)
     if accuracy.method != "auto":
         accuracy = with_setting(accuracy, steps, outputs)
-    elif scene.effects.events:
+    elif scene.effects.events or (_moves(scene, duration) and not any(isinstance(x, ca.SX) for x in p.values())):
         # Events are located, but not the ends of the step of smooth contact, which need a tighter tolerance.
         wanted = min(accuracy.error or DEFAULT_ERROR, (1e-4 if smooth else 1e-2) * accuracy.wanted_derivatives)
         accuracy = first_setting("erk", wanted)
     # These suffice for the default error. Second derivatives of order-8 steps are of order 8 too.
     finer: float = (DEFAULT_DERIVATIVES / accuracy.wanted_derivatives) ** 0.125
-    enough = max(steps, math.ceil((_SMOOTH_STEPS if smooth else OUTPUTS) * finer), fewest_steps(p))
+    # Steps of order 8 in a symbolic run with smooth contact, which acts within a fraction of the mount's period.
+    enough = max(steps, math.ceil((1600 if smooth else OUTPUTS) * finer), fewest_steps(p))
     steps = MOST_ADAPTIVE if accuracy.adaptive else accuracy.steps or enough
     return accuracy, timeline_of(scene, duration, outputs, steps, accuracy.method)
 
 
 def most_steps(total_phase: float) -> int:
     """Return the number of steps, a power of ten, after which an adaptive method gives up on a diverging motion."""
-    return int(10.0 ** math.ceil(min(_LARGEST_COUNT, math.log10(_FEWEST_ADAPTIVE + _ADAPTIVE_PER_PHASE * total_phase))))
+    # At the tightest tolerance an adaptive method needs about 100 steps per rad. It may take three times as many.
+    # Steps that an adaptive method may take in addition, to get started.
+    return int(10.0 ** math.ceil(min(_LARGEST_COUNT, math.log10(1e4 + 300.0 * total_phase))))
 
 
 def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
@@ -287,7 +275,11 @@ def suited(structure: Structure, total_phase: float) -> tuple[str, ...]:
         return ("dop853",)
     # The slope of a smooth contact acts only while the share is slower than its width: equal steps that resolve it
     # everywhere take ten times as long as adaptive ones, which may be explicit up to a larger phase.
-    most_steps, stiff = (_SMOOTH_PHASE, _BRIEFLY_STIFF_PHASE) if structure.smooth else (_ORDER_8_PHASE, STIFF_PHASE)
+    # Phase [rad] over a run that steps of order 8 resolve within seconds.
+    # The slope of a smooth contact acts only while the share is slower than its width. Above the first phase [rad], by
+    # that slope, equal steps that resolve it everywhere take ten times as long as those of an adaptive method. Up to
+    # the second one that may be an explicit method, which reaches a smaller error than an implicit one.
+    most_steps, stiff = (5e3, 2e6) if structure.smooth else (4e5, STIFF_PHASE)
     adaptive = ("rosenbrock",) if total_phase > stiff else ("erk", "rosenbrock") if structure.smooth else ("erk",)
     return adaptive if structure.events or total_phase > most_steps else ("dop853", *adaptive)
 
@@ -302,7 +294,9 @@ def first_setting(method: str, wanted: float, summed_phase: float = 0.0, fewest:
         fewest: `fewest_steps`, for the same.
     """
     if method == "dop853":
-        steps = steps_for(summed_phase, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_ERROR) ** 0.125)
+        # By `Rates.summed`, which scatters half as much, this phase leaves an error of 1e-8 in three of four ordinary
+        # scenes.
+        steps = steps_for(summed_phase, 0.65 * (max(wanted, TIGHTEST) / DEFAULT_ERROR) ** 0.125)
         return _order_8(rounded_up(max(steps, fewest)))
     least = STIFF_TOLERANCE if method == "rosenbrock" else TIGHTEST
     return Accuracy(method, tolerance=max(0.003 * wanted, least))
@@ -318,7 +312,7 @@ def coarser(setting: Accuracy) -> Accuracy:
 def refined(setting: Accuracy, error: float, wanted: float) -> Accuracy:
     """Return the next setting, from the error that the last one left: infinite if its integration failed."""
     if setting.steps:
-        factor = _SAFETY * min(error / wanted, 1e9) ** _ERROR_EXPONENT
+        factor = 1.12 * min(error / wanted, 1e9) ** _ERROR_EXPONENT
         return _order_8(rounded_up(math.ceil(setting.steps * min(max(factor, 1.15), 3.0)), 5))
     tolerance = (setting.tolerance or DEFAULT_TOLERANCE) * min(0.1, max(0.01, 0.5 * wanted / error))
     least = STIFF_TOLERANCE if setting.method == "rosenbrock" else TIGHTEST

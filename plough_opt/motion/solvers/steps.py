@@ -7,17 +7,17 @@ Steps of order 8 are longer than the intervals between outputs. The deflection w
 steps around an output time determine a Hermite polynomial of degree 15. Its error falls by a higher power of the step
 size than that of the method. Interpolated states are linear in those at the ends, and so are their derivatives.
 
-A step ends at the end of a tow ramp, a known time that moves with the parameters. Across a kink steps of order 8 lose
-their order, and each differentiation by a parameter that moves the kink loses one order more. The smooth contact has
-four derivatives everywhere, which is enough.
+A step ends at the end of a tow ramp whose time is a number. Across a kink steps of order 8 lose their order, and each
+differentiation by a parameter that moves the kink loses one order more. The smooth contact has four derivatives
+everywhere, which is enough.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Final, NamedTuple
 
@@ -25,17 +25,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.expressions import Column, Expression, stacked
-from plough_opt.motion.effects.terms import Parameters
-from plough_opt.motion.equation import Equation, equation_of
+from plough_opt.core.expressions import Column, stacked
+from plough_opt.motion.equation import Equation
 from plough_opt.motion.methods import DOP853, Tableau
 
 READ_FROM: Final = 8
 """Number of ends of steps from which an output between them is interpolated."""
 
-# A run of n steps has at least this factor times n^(3/4) on either side of a kink. That is enough to interpolate
-# between, and the number for a check is sufficiently smaller to show the error that a short ramp leaves.
-_LEAST_PER_SIDE: Final = 0.6
 
 # A kink closer to the end of a step than this fraction of the duration is at that end, up to rounding.
 _SHORT: Final = 1e-9
@@ -45,10 +41,6 @@ GAUSS_POINTS: Final = 10
 
 MORE_POINTS: Final = 6
 """Additional nodes in each panel of the checking run."""
-
-# Gauss-Legendre nodes that are exact for the square of a ramp's force, a polynomial of degree 20, even if the ramp lies
-# within one panel.
-_RAMP_GAUSS_POINTS: Final = 11
 
 Array = NDArray[np.float64]
 # Times closer than this fraction of the duration are equal up to rounding.
@@ -67,15 +59,12 @@ class Timeline:
             steps between two of them are equally long, no longer than they would be without a kink.
         aligned: whether a step ends at each output. Each output interval then has the nearest whole number of steps, at
             least one. Otherwise outputs are interpolated between the ends of `READ_FROM` steps.
-        moving: whether steps of order 8 also end at the end of a ramp that depends on the parameters. Steps are then
-            aligned, their number in an output interval is rounded up, and ``kinks`` does not hold that end.
     """
 
     outputs: int
     steps: int
     kinks: tuple[float, ...] = ()
     aligned: bool = True
-    moving: bool = False
 
     @cached_property
     def output_fractions(self) -> NDArray[np.float64]:
@@ -87,13 +76,15 @@ class Timeline:
         """Ends of the steps as fractions of the duration, both ends included."""
         if not self.aligned:
             return self._between_kinks([kink for kink in self.kinks if _SHORT <= kink <= 1.0 - _SHORT])
-        steps_per_output = self.steps / self.outputs
-        per_interval = max(1, math.ceil(steps_per_output) if self.moving else round(steps_per_output))
+        per_interval = max(1, round(self.steps / self.outputs))
         return self._with_kink(np.linspace(0.0, 1.0, self.outputs * per_interval + 1))
 
     def _between_kinks(self, kinks: list[float]) -> NDArray[np.float64]:
         """Return the ends of steps before, between and after kinks."""
-        least = min(self.steps, math.ceil(_LEAST_PER_SIDE * (self.steps / len(kinks)) ** 0.75)) if kinks else 0
+        # A run of n steps has at least this factor times n^(3/4) on either side of a kink. That is enough to
+        # interpolate between, and the number for a check is sufficiently smaller to show the error that a short ramp
+        # leaves.
+        least = min(self.steps, math.ceil(0.6 * (self.steps / len(kinks)) ** 0.75)) if kinks else 0
         parts = [
             self._smooth_part(start, end, max(math.ceil((end - start) * self.steps), least))
             for start, end in itertools.pairwise((0.0, *kinks, 1.0))
@@ -137,7 +128,7 @@ class Readings(NamedTuple):
     weights: Array
 
 
-def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX | None = None) -> ca.MX:
+def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX) -> ca.MX:
     """Return the states (w [m]; w' [m/s]) at the output times, a column each.
 
     Args:
@@ -145,16 +136,10 @@ def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX |
         states: states at the ends of all steps, including the start, a column each; the upper half of the rows has w
             and the lower half w', if there are more than two.
         duration: simulated time [s].
-        ramp: time of a ramp [s] whose end is an additional end of a step; None without one.
     """
-    # Index of each output time among the nodes, where one of them is at each.
-    columns = [int(i) for i in np.searchsorted(timeline.nodes, timeline.output_fractions - 1e-12)]
-    if ramp is not None:
-        # After the ramp's end an output is one column further on.
-        reached = ca.repmat(ca.DM(timeline.output_fractions).T * duration <= ramp, states.shape[0], 1)
-        return ca.if_else(reached, states[:, columns], states[:, [column + 1 for column in columns]])
     if timeline.aligned:
-        return states[:, columns]
+        # Index of each output time among the nodes, where one of them is at each.
+        return states[:, [int(i) for i in np.searchsorted(timeline.nodes, timeline.output_fractions - 1e-12)]]
     w, rate = ca.vertsplit(states, states.shape[0] // 2)
     w_by_w, w_by_rate, rate_by_w, rate_by_rate = _matrices(timeline)
     return ca.vertcat(w @ w_by_w + duration * (rate @ w_by_rate), (w @ rate_by_w) / duration + rate @ rate_by_rate)
@@ -241,13 +226,7 @@ def product(x: Sequence[Any], y: Sequence[Any], count: int) -> list[Any]:
     return found
 
 
-def pooled(
-    moments: ca.MX,
-    sizes: ca.MX | ca.DM,
-    signals: int,
-    count: int = 0,
-    moving: tuple[ca.MX, ca.MX | ca.DM] | None = None,
-) -> tuple[ca.MX, ca.MX]:
+def pooled(moments: ca.MX, sizes: ca.DM, signals: int, count: int = 0) -> tuple[ca.MX, ca.MX]:
     """Return the means, and the mean squares about the mean, over a run from the moments of its steps.
 
     Args:
@@ -255,7 +234,6 @@ def pooled(
         sizes: sizes of the steps as fractions of the duration, a row.
         signals: number of signals.
         count: number of parameters by which the moments are differentiated.
-        moving: if the sizes depend on a ramp, the jet of its part of the duration, and the sizes' parts of that.
 
     Returns:
         Both with a row for each signal and the columns of the jet.
@@ -263,31 +241,15 @@ def pooled(
     # All columns of the jet together: with many steps CasADi takes longer to build a graph than to evaluate it.
     rows, steps = moments.shape[0], sizes.shape[1]
     width = moments.shape[1] // steps
-    every = ca.reshape(moments, rows * width, steps)
-
-    def average(summed: Callable[[ca.MX | ca.DM], ca.MX]) -> ca.MX:
-        """Return the jets of averages, given the function from weights of the steps to the jets of sums."""
-        found = summed(sizes)
-        if moving is None:
-            return found
-        ramp, parts = moving
-        more: ca.MX = ca.horzcat(*product(ca.horzsplit(ramp), ca.horzsplit(summed(parts)), count))
-        return found + more
-
-    def summed_moments(weights: ca.MX | ca.DM) -> ca.MX:
-        sums: ca.MX = every @ weights.T
-        return ca.reshape(sums, rows, width)
-
-    def summed_squares(weights: ca.MX | ca.DM) -> ca.MX:
-        return ca.vertcat(*(_summed_square(each, weights, count) for each in drifts))
-
-    means, spreads = ca.vertsplit(average(summed_moments), [0, signals, rows])
+    flat = ca.reshape(moments, rows * width, steps)
+    means, spreads = ca.vertsplit(ca.reshape(flat @ sizes.T, rows, width), [0, signals, rows])
     # The spreads within steps and the spread of their means are both positive, so nothing cancels in the sum.
-    drifts = [every[k::rows, :] - ca.repmat(means[k, :].T, 1, steps) for k in range(rows - signals)]
-    return means, spreads + average(summed_squares) if drifts else spreads
+    drifts = [flat[k::rows, :] - ca.repmat(means[k, :].T, 1, steps) for k in range(rows - signals)]
+    squares = [_summed_square(drift, sizes, count) for drift in drifts]
+    return means, spreads + ca.vertcat(*squares) if squares else spreads
 
 
-def _summed_square(jet: ca.MX, weights: ca.MX | ca.DM, count: int) -> ca.MX:
+def _summed_square(jet: ca.MX, weights: ca.DM, count: int) -> ca.MX:
     """Return the jet of the weighted sum of a quantity's square, as a row; ``jet`` has a column for each summand."""
     sums = (jet[0, :] * weights) @ jet.T
     slopes, bends = 2.0 * sums[:, 1 : 1 + count], 2.0 * sums[:, 1 + count :]
@@ -298,117 +260,57 @@ def _summed_square(jet: ca.MX, weights: ca.MX | ca.DM, count: int) -> ca.MX:
     return ca.horzcat(sums[:, 0], slopes, bends)
 
 
-def ends(timeline: Timeline, duration: Column, ramp: Column) -> tuple[Column, Column]:
-    """Return the columns a and b of the ends of steps a * duration + b * ramp.
-
-    The end of the ramp is one of them if it lies within the run. Both columns are constant under differentiation. If
-    the ramp ends at the end of another step, or after the run, one step has no length.
-
-    Args:
-        timeline: the other ends.
-        duration: simulated time [s].
-        ramp: time of the ramp [s].
-    """
-    nodes = ca.DM(timeline.nodes)
-    before, after = nodes[:-1], nodes[1:]
-    reached, begun = after * duration <= ramp, before * duration <= ramp
-    a = reached * after + (1.0 - begun) * before
-    b = begun - reached
-    return stacked(0.0, a, 1.0), stacked(0.0, b, 0.0)
-
-
 @dataclass(frozen=True)
 class OneStep:
     """Symbols of one step.
 
     Attributes:
-        equation: the equation of motion. If steps end at the ramp's end, their span states whether the ramp is over. A
-            stage at the end itself could not decide it, and there the formulas of ramp and constant speed differ in
-            second derivatives.
-        span: start and size of the step as fractions of the duration. A span of width 5 also has parts of both as
-            fractions of the ramp's time, which are added, and a flag that is 1 after the ramp.
+        span: start and size of the step as fractions of the duration.
         p: the parameters with the duration last.
-        known: the parameters by name, without the duration.
         start: start of the step [s].
         size: length of the step [s].
     """
 
-    equation: Equation
     span: ca.SX
     p: ca.SX
-    known: dict[str, Column]
     start: Column
     size: Column
 
-    @property
-    def given(self) -> ca.SX:
-        """Parameters of `equation`."""
-        column: ca.SX = ca.vertcat(self.p[:-1], self.span[4:])
-        return column
-
     @classmethod
-    def of(cls, equation: Equation, width: int) -> OneStep:
-        """Create the symbols of a step with a span of that width, 2 or 5."""
-        span, (p, known) = ca.SX.sym("span", width), equation.symbols(ca.SX)
-        start: Column = span[0] * p[-1]
-        size: Column = span[1] * p[-1]
-        if width > 2:
-            equation = equation_of(replace(equation.structure, ramp_by_step=True))
-            start, size = start + span[2] * known["ramp_time"], size + span[3] * known["ramp_time"]
-            known = known | {"ramped": span[4]}
-        return cls(equation, span, p, known, start, size)
+    def of(cls, equation: Equation) -> OneStep:
+        """Create the symbols of a step."""
+        span, (p, _) = ca.SX.sym("span", 2), equation.symbols(ca.SX)
+        return cls(span, p, span[0] * p[-1], span[1] * p[-1])
 
 
-def moving_ramp(timeline: Timeline, p: Parameters) -> Column:
-    """Return the time [s] of a ramp at whose symbolic end a step ends, or None without such a ramp."""
-    return p.get("ramp_time") if timeline.moving else None
+def spans_of(timeline: Timeline) -> ca.DM:
+    """Return the span of each step in a column: see `OneStep`."""
+    return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
 
 
-def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:
-    """Return the span of each step in a column: see `OneStep`. With a ramp it has five rows, otherwise two."""
-    if ramp is None:
-        return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
-    a, b = ends(timeline, duration, ramp)
-    rows = [row for end in (a, b) for row in (end[:-1], end[1:] - end[:-1])]
-    rows.append(stacked(0.0, ca.DM(timeline.nodes[1:]) * duration > ramp))
-    transposed: ca.MX = ca.horzcat(*rows).T
-    return transposed
-
-
-def quadrature(timeline: Timeline, points: int, duration: Expression, p: Parameters) -> tuple[Column, Column]:
+def quadrature(timeline: Timeline, points: int) -> tuple[Array, Array]:
     """Return the nodes and weights of a time average by panels, as fractions of the duration.
 
     Args:
         timeline: times of a quasi-static run; each step is a panel.
         points: number of Gauss-Legendre nodes in each panel.
-        duration: simulated time [s].
-        p: parameters of the scene.
     """
-    ramp = moving_ramp(timeline, p)
-    nodes, weights = np.polynomial.legendre.leggauss(points if ramp is None else max(points, _RAMP_GAUSS_POINTS))
-    if ramp is not None:
-        a, b = ends(timeline, duration, ramp)
-        panel_ends = a + b * (ramp / duration)
-        starts, sizes = panel_ends[:-1], panel_ends[1:] - panel_ends[:-1]
-        rows = [starts + sizes * ((node + 1.0) / 2.0) for node in nodes]
-        return ca.vertcat(*rows), ca.vertcat(*(sizes * (weight / 2.0) for weight in weights))
+    nodes, weights = np.polynomial.legendre.leggauss(points)
     sizes = np.diff(timeline.nodes)[:, None]
     inner = timeline.nodes[:-1, None] + sizes * (nodes + 1.0) / 2.0
     return inner.ravel(), (sizes * weights / 2.0).ravel()
 
 
 @lru_cache(maxsize=64)
-def step(equation: Equation, width: int = 2, tableau: Tableau = DOP853) -> ca.Function:
+def step(equation: Equation, tableau: Tableau = DOP853) -> ca.Function:
     """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
 
     The span is that of `OneStep`. The moments are the mean of each signal over the step and then, for each signal with
     an RMS, the mean square about that mean. Both are computed from the deviation from the value at the step's start, in
     which cancellation costs at most a factor of four.
     """
-    at = OneStep.of(equation, width)
-    equation, size = at.equation, at.size
-    state = ca.SX.sym("state", equation.states)
-    given = at.given
+    at = OneStep.of(equation)
+    size, given, state = at.size, at.p[:-1], ca.SX.sym("state", equation.states)
     rates: list[ca.SX] = []
     first = equation.signals(at.start, state, given)
     mean, square = ca.SX.zeros(equation.count), ca.SX.zeros(equation.squared)
@@ -438,13 +340,9 @@ def run_map(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -
 @lru_cache(maxsize=64)
 def run_from(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return a run from any state: (state at time 0, parameters) -> (states at the outputs, means, variances)."""
-    first = ca.MX.sym("first", 2)
-    p, known = equation.symbols(ca.MX)
-    ramp = moving_ramp(timeline, known)
-    spans = spans_of(timeline, p[-1], ramp)
-    sizes = spans[1, :] if ramp is None else spans[1, :] + spans[3, :] * (ramp / p[-1])
-    count = sizes.shape[1]
-    states, moments = step(equation, spans.shape[0], tableau).mapaccum(count)(first, spans, ca.repmat(p, 1, count))
-    averages = pooled(moments, sizes, equation.count)
-    found = at_outputs(timeline, ca.horzcat(first, states), p[-1], ramp)
+    first, (p, _), spans = ca.MX.sym("first", 2), equation.symbols(ca.MX), spans_of(timeline)
+    count = spans.shape[1]
+    states, moments = step(equation, tableau).mapaccum(count)(first, spans, ca.repmat(p, 1, count))
+    averages = pooled(moments, spans[1, :], equation.count)
+    found = at_outputs(timeline, ca.horzcat(first, states), p[-1])
     return ca.Function("run_from", [first, p], [found, *averages])

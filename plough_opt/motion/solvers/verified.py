@@ -12,19 +12,12 @@ from plough_opt.motion.solvers.integrators import Case, compared, integrate
 
 _LOG = logging.getLogger(__name__)
 
-# Attempts of a method to reach the wanted error. The number of steps follows from the error of the attempt before.
-_ATTEMPTS = 4
 # If the check is finer than the run, their difference is less than the run's error by that of the check, about a sixth.
 # Across a kink or an event both errors are irregular, and the difference alone may fall below either.
 _MARGIN = 2.0
-# Rounding of the moments at which a share stops for a thousandth of the run or less, as it grows afterwards.
-_EVENT_ROUNDING = 2e-11
 # Relative change of the parameters that shows how predictable a motion is, and the growth from which on it is not.
 # Rounding is about a thousandth of that change.
 _PERTURBATION = 1e-12
-_SENSITIVE = 1e4
-# Relative difference from which on two motions have nothing in common.
-_UNRELATED = 0.1
 
 
 def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
@@ -60,7 +53,9 @@ def _refined(case: Case, wanted: float) -> tuple[Run, float]:
     summed, fewest = plan.rates_of(case.scene).summed * case.duration, plan.fewest_steps(case.p)
     for method in plan.suited(case.structure, case.phase):
         setting, before = plan.first_setting(method, wanted, summed, fewest), math.inf
-        for _ in range(_ATTEMPTS):
+        # Attempts of a method to reach the wanted error. The number of steps follows from the error of the attempt
+        # before.
+        for _ in range(4):
             error = math.inf
             try:
                 run, error = _agreement(case, setting, plan.coarser(setting), margin)
@@ -94,7 +89,8 @@ def _agreement(case: Case, setting: Accuracy, check: Accuracy, margin: float) ->
         run = integrate(case, setting)
         apart = difference(run, integrate(case, check))
     if apart > 0.0 and case.structure.events:
-        apart = max(apart, _EVENT_ROUNDING)
+        # Rounding of the moments at which a share stops for a thousandth of the run or less, as it grows afterwards.
+        apart = max(apart, 2e-11)
     return run, margin * apart
 
 
@@ -109,9 +105,10 @@ def _warned(case: Case, run: Run, error: float, wanted: float) -> tuple[float, t
             apart = difference(run, integrate(case, run.accuracy, perturbation=_PERTURBATION))
         except IntegrationError:
             apart = math.inf
-        if apart > _SENSITIVE * _PERTURBATION:
+        if apart > 1e4 * _PERTURBATION:
             # Two runs that have nothing in common give no bound on the error.
-            error = max(error, _MARGIN * apart) if apart < _UNRELATED else math.inf
+            # Relative difference from which on two motions have nothing in common.
+            error = max(error, _MARGIN * apart) if apart < 0.1 else math.inf
             until = f"to better than {error:.1e}" if error < math.inf else "at all"
             return error, (
                 f"{missed}: the motion is too sensitive to be predicted {until}, because a relative change of the"

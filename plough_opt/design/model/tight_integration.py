@@ -228,7 +228,12 @@ def _declared_limits(parts: Split, symbols: Sequence[ca.MX]) -> list[tuple[Domai
         (repr(holder), tuple(np.asarray(x).ravel())): (holder, own)
         for (holder, own), x in zip(holders, at, strict=True)
     }
-    found = [limit for holder, quantities in once.values() for limit in _limits_of(holder, quantities)]
+    found: list[tuple[DomainLimit, Any]] = []
+    unlimited: set[int] = set()  # templates, which many scenes of a design share
+    for holder, quantities in once.values():
+        if id(holder) not in unlimited:
+            found += (limits := _limits_of(holder, quantities))
+            unlimited |= set() if limits else {id(holder)}
     for limit, value in found:
         if not is_symbolic(value):
             limit.check(value)

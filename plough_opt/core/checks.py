@@ -392,17 +392,12 @@ def check_bounds(
     """
     if not lower < upper:
         equal = "; to fix a quantity, use the number itself" * (lower == upper and guess is not None)
-        ends = f"lower {_apart(lower, upper, show)} is not below upper {_apart(upper, lower, show)}{equal}"
+        ends = f"lower {show(lower)} is not below upper {show(upper)}{equal}"
         raise InputError(f"{what}: its bounds contradict each other: {ends}")
     if log and lower <= 0.0:
         raise InputError(f"{what}: a logarithmic scale needs a lower bound above 0, not {show(lower)}")
     if guess is not None and not lower <= guess <= upper:
         raise InputError(f"{what}: its guess {show(guess)} lies outside its bounds {show(lower)} to {show(upper)}")
-
-
-def _apart(number: float, other: float, show: Callable[[float], str]) -> str:
-    """Return a number as text, with more digits and in SI units if another one looks the same."""
-    return show(number) if number == other or show(number) != show(other) else f"{number:.12g}"
 
 
 def check_limits(
@@ -419,7 +414,7 @@ def check_limits(
     if at_least is None and at_most is None:
         raise InputError(f"{what} has no limit: give at_least, at_most or both")
     if at_least is not None and at_most is not None and at_least > at_most:
-        ends = f"at least {_apart(at_least, at_most, show)} is above at most {_apart(at_most, at_least, show)}"
+        ends = f"at least {show(at_least)} is above at most {show(at_most)}"
         raise InputError(f"{what}: its limits contradict each other: {ends}")
 
 
@@ -541,13 +536,8 @@ def labels_in(function: ca.Function) -> list[ca.MX]:
     """Return the calls of labels in a Function's MX graph, inner ones first."""
     places = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL]
     calls = {hash(node): node for node in map(function.instruction_MX, places)}
-    return [node for node in calls.values() if is_label(node)]
-
-
-def is_label(node: ca.MX) -> bool:
-    """Return whether a call in a graph is that of a label."""
-    function = node.which_function()
-    return bool(function.name() == "label") and meaning_of(function) is not None
+    functions = [(node, node.which_function()) for node in calls.values()]
+    return [node for node, of in functions if of.name() == "label" and meaning_of(of) is not None]
 
 
 # Whether the current computation is part of a law that is labelled as a whole.

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Literal, TextIO, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TextIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,6 @@ class Grid:
         rows: cells of each row.
         bold: numbers of the rows in bold.
         ends: numbers of the rows followed by a rule.
-        plain: whether it is drawn without a frame, for a table as wide as a page.
     """
 
     columns: tuple[Column, ...]
@@ -86,7 +85,6 @@ class Grid:
     rows: list[tuple[str, ...]] = field(default_factory=list)
     bold: list[int] = field(default_factory=list)
     ends: list[int] = field(default_factory=list)
-    plain: bool = False
 
     def __post_init__(self) -> None:
         """Raise ValueError if a row does not have one cell per column."""
@@ -144,7 +142,6 @@ class Grid:
 
     def __rich__(self) -> Table:
         """Return the table for a terminal."""
-        from rich.box import SIMPLE_HEAD
         from rich.table import Table
         from rich.text import Text
 
@@ -153,11 +150,7 @@ class Grid:
             Text(printable(text), f"table.{what}") if text else None
             for text, what in ((self.title, "title"), (self.caption, "caption"))
         )
-        frame: dict[str, Any] = {}
-        if self.plain:
-            frame = {"box": SIMPLE_HEAD, "show_edge": False, "pad_edge": False, "padding": (0, 1, 0, 0)}
-            frame["caption_justify"] = "left"
-        table = Table(title=title, caption=caption, show_header=bool(headings), **frame)
+        table = Table(title=title, caption=caption, show_header=bool(headings))
         for column in self.columns:
             side: Literal["left", "right"] = "left" if column.left else "right"
             overflow: Literal["fold", "ellipsis"] = "fold" if column.fold else "ellipsis"
@@ -344,18 +337,14 @@ def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:
 
 
 def write_table(path: str | Path, rows: Iterable[Sequence[object]]) -> Path:
-    """Write rows into a CSV file by `write_rows`, one after the other: they need not fit into memory.
+    """Write rows into a CSV file by `write_rows`.
 
     Raises:
         InputError: the file cannot be written.
     """
-
-    def write(file: IO[bytes]) -> None:
-        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-        write_rows(text, rows)
-        text.detach()  # flushes, and leaves the file open for `write_file`
-
-    return write_file(path, "table", write)
+    text = io.StringIO(newline="")
+    write_rows(text, rows)
+    return write_file(path, "table", text.getvalue())
 
 
 def write_frame(path: str | Path, frame: pandas.DataFrame) -> Path:

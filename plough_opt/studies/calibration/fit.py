@@ -490,10 +490,11 @@ def drawn(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
     results, (places, label) = dict.fromkeys(row.result for row in rows), _varied(rows, origin)
     for result, colour in zip(results, cycle(COLOURS)):
         like = [k for k, row in enumerate(rows) if row.result == result]
-        numbers = [
-            (r.predicted, r.observed, r.sigma, min(r.standard_error, r.sigma)) for r in map(rows.__getitem__, like)
-        ]
-        predicted, observed, sigma, error = np.array(numbers).T
+        own = [rows[k] for k in like]
+        predicted, observed, sigma, error = np.array(
+            [(r.predicted, r.observed, r.sigma, r.standard_error) for r in own]
+        ).T
+        error = np.where(np.isfinite(error), error, 0.0)
         size = float(np.max(np.abs(predicted)))
         unit = origin.display(result, rows[like[0]].unit, size) if len(results) == 1 else Display("", size)
         style: dict[str, Any] = {"fmt": "o", "markersize": 4, "linewidth": 0.8, "color": colour}

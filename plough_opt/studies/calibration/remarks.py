@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, stats
 
 from plough_opt.core.errors import IntegrationError, listed
@@ -14,7 +13,7 @@ from plough_opt.core.expressions import as_number
 from plough_opt.core.plain_data import Array
 from plough_opt.core.units import in_words
 from plough_opt.studies.calibration.least_squares import Solution
-from plough_opt.studies.calibration.model import Rows, Unknown, is_closed
+from plough_opt.studies.calibration.model import Rows, SceneOfRows, Unknown, is_closed
 
 AT_BOUND: Final = 1e-6
 """A scaled unknown that is closer to a bound counts as being on it."""
@@ -105,9 +104,10 @@ def warnings_of(fit: Solution, sets: Sequence[Rows], unknowns: Sequence[Unknown]
     if near:
         remedy = "use narrower bounds or further measurements to decide between them"
         yield f"{near} other local optima fit almost as well: the intervals surround only the best; {remedy}"
-    yield from _inaccurate(fit, sets, parts)
+    at_fit = [rows.scenes(fit.y) for rows in sets]
+    yield from _inaccurate(fit, sets, at_fit)
     named = {u.name for u in unknowns}.union(*(rows.measured.conditions for rows in sets))
-    scenes = [scene for rows in sets for scene, *_ in rows.scenes(fit.y)]
+    scenes = [scene for of_set in at_fit for scene, *_ in of_set]
     carried = max((float(as_number(scene.ambient_share)) for scene in scenes), default=0.0)
     if carried > 0.0 and "soil.ambient_pressure" not in named:
         pressure = in_words(float(as_number(scenes[0].soil.ambient_pressure)), "Pa", 4)
@@ -165,21 +165,19 @@ def _correlated(rows: Rows, residuals: Array) -> Iterator[str]:
         yield f"{m.name}: residuals of neighbouring times are correlated ({size:.2g}): {why}"
 
 
-def _inaccurate(fit: Solution, sets: Sequence[Rows], parts: NDArray[np.intp]) -> Iterator[str]:
+def _inaccurate(fit: Solution, sets: Sequence[Rows], at_fit: Sequence[Sequence[SceneOfRows]]) -> Iterator[str]:
     """Yield a warning if numeric runs, whose error is checked, differ from the fitted values."""
-    needing = [
-        (rows, values, *own)
-        for rows, values in zip(sets, np.split(np.column_stack([fit.predicted, fit.deviation()]), parts), strict=True)
-        for own in rows.scenes(fit.y)
-        if not is_closed(own[0], rows.measured.result)
-    ]
-    worst = 0.0
-    for rows, values, scene, duration, which in needing[:_MOST_CHECKED]:
-        predicted, deviation = values[which].T
-        try:
-            worst = max(worst, *np.abs(rows.checked(scene, duration, which) - predicted) / deviation)
-        except IntegrationError as failed:
-            yield f"the run of the fitted scene could not be checked: {failed}"
-            return
+    worst, runs, first = 0.0, 0, 0
+    for rows, scenes in zip(sets, at_fit, strict=True):
+        for scene, duration, which in scenes:
+            if is_closed(scene, rows.measured.result) or runs >= _MOST_CHECKED:
+                continue
+            try:
+                error = rows.checked(scene, duration, which) - fit.predicted[first + which]
+            except IntegrationError as failed:
+                yield f"the run of the fitted scene could not be checked: {failed}"
+                return
+            worst, runs = max(worst, *np.abs(error) / fit.deviation()[first + which]), runs + 1
+        first += len(rows.measured.values)
     if worst > _NOTABLE_ERROR:
         yield f"runs with an error check differ from the fitted ones by up to {worst:.2g} standard deviations"

@@ -153,8 +153,7 @@ def compiled_steps(structure: Structure, registers: int = 1) -> CompiledSteps | 
     whole, address = ctypes.c_int64, ctypes.c_void_p
     arguments = {"steps": [whole, address, whole, *[address] * 5], "pair": [address, whole, *[address] * 5]}
     try:
-        source = f"#define REGISTERS {registers}\n{source_of(structure)}"
-        library = loaded(source, _STEPS_VARIANTS, arguments)
+        library = loaded(f"#define REGISTERS {registers}\n" + source_of(structure), _STEPS_VARIANTS, arguments)
     except InputError:
         return None
     return None if library is None else CompiledSteps(equation_of(structure), library)

@@ -25,10 +25,6 @@ LARGEST_SPEED: Final = 5.0
 
 # Points of the grid on which the first minimum of a force is searched.
 _GRID = 64
-# Bisections of the slope's sign, from two grid steps to rounding.
-_HALVINGS = 40
-# Newton steps make the derivatives exact: each step doubles the order that is correct.
-_NEWTON_STEPS = 3
 # Forces are compared at this fraction of the largest angle, because they may be infinite at the end.
 _INSIDE = 1.0 - 1e-9
 
@@ -238,12 +234,12 @@ def _search(force: Callable[..., Column], count: int) -> ca.Function:
         falls = ca.logic_and(falls, here < least)
         best, least = ca.if_else(falls, k * step, best), here
     low, high = best - step, best + step
-    for _ in range(_HALVINGS):
+    for _ in range(40):  # from two grid steps to rounding
         middle = (low + high) / 2.0
         before = g(middle, *p)[0] < 0.0
         low, high = ca.if_else(before, middle, low), ca.if_else(before, high, middle)
     found = (low + high) / 2.0
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(3):  # Newton's steps make the derivatives exact: each doubles the order that is correct
         first, second = g(found, *p)
         found = found - first / second
     # Without a minimum inside the angle is undefined; NaN makes a solver shorten its step.

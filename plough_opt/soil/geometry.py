@@ -15,10 +15,6 @@ from plough_opt.core.quantities import BESIDE, read_fields
 
 SEGMENTS = 4096
 """Sides of the polygon that replaces a cone's base; area, angle and volume are then within 4e-7 of the cone's."""
-
-_LEAST_SEGMENTS = 3
-# Up to this number of sides a mesh takes less than a gigabyte.
-_MOST_SEGMENTS = 1_000_000
 PLANE_SECTIONS_LIMIT = math.radians(20.0)
 """Half angle [rad] above which the hypothesis of plane sections does not hold."""
 
@@ -151,7 +147,7 @@ class Cone:
             1.0
         """
         half_angle, height = _numbers(self, "half_angle", "height")
-        whole_number("segments", segments, _LEAST_SEGMENTS, _MOST_SEGMENTS)
+        whole_number("segments", segments, 3, 1_000_000)  # which take a gigabyte
         radius, turn = height * math.tan(half_angle), 2.0 * math.pi * np.arange(segments) / segments
         rim = np.column_stack([np.full(segments, height), radius * np.cos(turn), radius * np.sin(turn)])
         vertices = np.vstack([[0.0, 0.0, 0.0], rim, [height, 0.0, 0.0]])

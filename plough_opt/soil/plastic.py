@@ -25,12 +25,6 @@ __all__ = [
     "surface_pressure", "wall_pressure",
 ]  # fmt: skip
 
-# Newton steps for the front, starting at the cavity; one suffices if the density hardly varies.
-_FRONT_STEPS = 14
-# Largest residual of the front's equation, relative to R^2.
-_FRONT_RESIDUAL = 1e-12
-# Rounding error of the terms in that equation, relative to r*^2.
-_FRONT_ROUNDING = 4e-15
 # Largest (r*/R)^2 accepted for a front; it corresponds to a density ratio b1 of 1 - 1e-13.
 _MOST_RATIO_SQUARED = 1e13
 
@@ -97,7 +91,7 @@ def _front_square(square: Expression, soil: Soil) -> Expression:
     """
     low, high = square, 10.0 * _MOST_RATIO_SQUARED * square
     x = square
-    for _ in range(_FRONT_STEPS):
+    for _ in range(14):  # one suffices if the density hardly varies
         r = ex.sqrt(x)
         error = x * (1.0 - mean_ratio(r, soil)) - square
         low, high = ex.where(error < 0.0, ex.maximum(low, x), low), ex.where(error < 0.0, high, ex.minimum(high, x))
@@ -106,9 +100,7 @@ def _front_square(square: Expression, soil: Soil) -> Expression:
         inside = (step >= low) * (step <= high) * (slope > 0.0)
         x = ex.where(inside, step, ex.sqrt(low * high))
     residual = ex.absolute(x * (1.0 - mean_ratio(ex.sqrt(x), soil)) - square)
-    missed = (
-        ex.maximum(residual - _FRONT_RESIDUAL * square - _FRONT_ROUNDING * x, x - _MOST_RATIO_SQUARED * square) > 0.0
-    )
+    missed = ex.maximum(residual - 1e-12 * square - 4e-15 * x, x - _MOST_RATIO_SQUARED * square) > 0.0
     if not ex.is_symbolic(missed) and np.any(ex.as_number(missed)):
         widest = float(np.sqrt(np.max(ex.as_number(square))))
         raise DomainError(

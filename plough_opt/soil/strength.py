@@ -21,19 +21,13 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import read_fields
 
-# Longest common period of several waves, in multiples of the longest wavelength.
-_MOST_TURNS = 100
-# Relative error up to which wavelengths count as commensurate; records and files give fewer digits than that.
-_COMMENSURATE = 1e-9
 Vector = NDArray[np.float64]
 PASS = 1000.0
 """Distance [m] of a pass over a field, for which peaks are given."""
 EXCEEDED = 0.05
 """Largest part of all passes in which such a peak is exceeded."""
-# Quadrature nodes per panel of a tabulated spectrum. For a panel as wide as the mount's natural frequency the error is
-# rounding at a tenth of critical damping, 1e-6 at a hundredth and 1e-4 at a thousandth.
-_NODES = 20
-# Most panels; a record's finer panels are merged. That changes an RMS by 3e-4, far less than the spectrum's band.
+# Most panels of a spectrum; a record's finer ones are merged, or a graph would hold each. That changes an RMS by 3e-4,
+# far less than the spectrum's band.
 _MOST_PANELS = 48
 
 
@@ -72,9 +66,10 @@ def turns_of(waves: Sequence[StrengthWave]) -> tuple[int, ...]:
     if any(ex.is_symbolic(wave.wavelength) for wave in waves):
         raise InputError("a periodic orbit under several waves needs numeric wavelengths: they determine its period")
     lengths = np.array([float(ex.as_number(wave.wavelength)) for wave in waves])
-    for count in range(1, _MOST_TURNS + 1):
+    for count in range(1, 101):
         turns = count * np.max(lengths) / lengths
-        if np.all(np.abs(turns - np.round(turns)) <= _COMMENSURATE * turns):
+        # Files give fewer digits than nine.
+        if np.all(np.abs(turns - np.round(turns)) <= 1e-9 * turns):
             return tuple(int(turn) for turn in np.round(turns))
     given = ", ".join(f"{length:g}" for length in lengths)
     raise InputError(f"the strength waves ({given} m) have no common period, as an orbit needs: simulate from a start")
@@ -326,7 +321,9 @@ def _over_panels(*given: Expression) -> tuple[Expression, ...]:
     middle, width = ex.sqrt(to.stiffness / to.inertia), to.damping / (2.0 * to.inertia)
     first, last = (ex.arcsinh((end * to.speed - middle) / width) for end in (low, high))
     place, rate = 0.0 * low, 0.0 * low
-    for node, weight in zip(*ex.gauss_legendre(_NODES), strict=True):
+    # For a panel as wide as the mount's natural frequency the error of 20 nodes is rounding at a tenth of critical
+    # damping, 1e-6 at a hundredth and 1e-4 at a thousandth.
+    for node, weight in zip(*ex.gauss_legendre(20), strict=True):
         up = ex.exp(first + (last - first) * node)
         frequency = middle + width * (up - 1.0 / up) / 2.0
         there = start + slope * (frequency / to.speed - low)
@@ -339,14 +336,6 @@ def _over_panels(*given: Expression) -> tuple[Expression, ...]:
 _FEWEST = 32
 # Most unevenly spaced points: the time of their periodogram grows with the square of the number.
 _MOST_UNEVEN = 10_000
-# Spacings count as even up to this relative difference.
-_EVEN = 1e-3
-# Segments of Welch's method, which overlap by half under a Hann window.
-_SEGMENTS = 8
-# Correlation of the periodograms of neighbouring segments under that window.
-_NEIGHBOURS = 1.0 / 36.0
-# Level of the band around a spectrum.
-_LEVEL = 0.95
 
 
 @dataclass(frozen=True)
@@ -404,7 +393,7 @@ class StrengthRecord:
     @property
     def even(self) -> bool:
         """Whether the points are evenly spaced."""
-        return bool(np.max(np.abs(np.diff(self.position) / self.spacing - 1.0)) <= _EVEN)
+        return bool(np.max(np.abs(np.diff(self.position) / self.spacing - 1.0)) <= 1e-3)
 
     def relative(self) -> Vector:
         """Return strength divided by its linear trend, minus 1.
@@ -455,10 +444,11 @@ def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> 
     check_domain("base_diameter", base_diameter, "m", at_least=0.0)
     diameter, y = plain_number("base_diameter", base_diameter), record.relative()
     if record.even:
-        size = max(_FEWEST // 2, 2 * len(y) // (_SEGMENTS + 1))
+        # Eight segments overlap by half under a Hann window: neighbours' periodograms have a correlation of 1/36.
+        size = max(_FEWEST // 2, 2 * len(y) // 9)
         f, density = signal.welch(y, 1.0 / record.spacing, nperseg=min(size, len(y)), detrend="constant")
         count = max(1, (len(y) - size) // (size - size // 2) + 1)
-        freedom = 2.0 * count / (1.0 + 2.0 * (count - 1) / count * _NEIGHBOURS)
+        freedom = 2.0 * count / (1.0 + 2.0 * (count - 1) / count / 36.0)
         q, density = 2.0 * math.pi * f[1:], density[1:] / (2.0 * math.pi)
     else:
         step = 2.0 * math.pi / record.length
@@ -468,5 +458,5 @@ def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> 
     if np.count_nonzero(usable) < 2:
         raise InputError(f"{record.name}: its spectrum has no waves longer than {diameter:.3g} m")
     q, density = q[usable], density[usable]
-    low, high = (freedom / stats.chi2.ppf(p, freedom) for p in ((1.0 + _LEVEL) / 2.0, (1.0 - _LEVEL) / 2.0))
+    low, high = (freedom / stats.chi2.ppf(p, freedom) for p in (0.975, 0.025))
     return Spectrum(q, density, density * low, density * high)

@@ -26,16 +26,8 @@ Integrals = Callable[[Medium, Array, Array, Array, float, float], list[Any]]
 ORDER = 12
 """Default number of Gauss-Legendre nodes in a panel, which is one wavelength of the integrand wide."""
 
-# The integrals end where the integrand has decayed to exp(-36), the rounding error of the largest term.
-_DECAY = 36.0
 # Most entries of the matrix of nodes in x and in the wave number; larger ones take minutes.
 _MOST_NODES = 40_000_000
-# Panels towards p = 0, where the Bessel functions are logarithmic; each is half as wide as the one before.
-_GRADED = 44
-# Below this m the difference of two Bessel functions divided by m is computed as their mean slope.
-_SLOW = 0.2
-# Quadrature nodes for that mean.
-_SLOPE_NODES = 10
 
 
 def wedge_stress(
@@ -143,11 +135,11 @@ def _bessel(z: Array, state: Medium) -> tuple[Array, Array, Array, Array]:
 
     alpha, eta, m = state.alpha, state.eta, state.m
     fast, turned = k0(alpha * z), alpha * k1(alpha * z)
-    if m > _SLOW:
+    if m > 0.2:
         return fast, (fast - k0(eta * z)) / m, turned, (turned - eta * k1(eta * z)) / m
-    # d K0(k z)/dk = -z K1(k z), d (k K1(k z))/dk = -k z K0(k z), and alpha - eta = m c.
+    # In slow motion as a mean slope: d K0(k z)/dk = -z K1(k z), d (k K1(k z))/dk = -k z K0(k z), and alpha - eta = m c.
     change, turned_change = np.zeros_like(z), np.zeros_like(z)
-    for node, weight in zip(*gauss_legendre(_SLOPE_NODES), strict=True):
+    for node, weight in zip(*gauss_legendre(10), strict=True):
         k = eta + (alpha - eta) * node
         change -= weight * state.slowing * z * k1(k * z)
         turned_change -= weight * state.slowing * z * k * k0(k * z)
@@ -183,7 +175,8 @@ def _integrated(
     state = medium(soil, speed)
     check_domain("speed over shear wave speed", state.mach, below=1.0, why="at 1 the integrals do not converge")
     across, away = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(distance, dtype=float))
-    last = _DECAY / (float(state.eta) * float(np.min(away)))
+    # The integrals end where the integrand has decayed to exp(-36), the rounding error of the largest term.
+    last = 36.0 / (float(state.eta) * float(np.min(away)))
     longest = max(length, *(float(np.max(np.abs(across - end))) for end in (0.0, length)))
     waves, lengths = (order * last * extent / (2.0 * math.pi) for extent in (longest, length))
     if waves * lengths > _MOST_NODES:
@@ -214,8 +207,8 @@ def _integrated(
 def _panels(length: float, width: float, order: int, graded: bool) -> tuple[Array, Array]:
     """Return Gauss-Legendre nodes and weights in panels from 0 to a length; graded panels become narrower towards 0."""
     edges = np.linspace(0.0, length, max(math.ceil(length / width), 1) + 1)
-    if graded:
-        edges = np.concatenate([[0.0], edges[1] * 0.5 ** np.arange(_GRADED, 0, -1), edges[1:]])
+    if graded:  # towards p = 0, where the Bessel functions are logarithmic
+        edges = np.concatenate([[0.0], edges[1] * 0.5 ** np.arange(44, 0, -1), edges[1:]])
     nodes, weights = (np.array(values) for values in gauss_legendre(order))
     sizes = np.diff(edges)
     return (edges[:-1, None] + sizes[:, None] * nodes).ravel(), (sizes[:, None] * weights).ravel()

@@ -31,8 +31,6 @@ medium_law = limited_in_designs("elastic medium")
 BELOW_SHEAR_WAVES: Final = 1e-4
 """Part by which designs stay below the shear wave speed, where the fields are finite but their derivatives are not."""
 
-# Newton steps for the cubic of the Rayleigh speed: each doubles the number of correct digits, which is three at first.
-_RAYLEIGH_STEPS = 5
 FAR = 1.6
 """A Gauss rule replaces the closed form if the distances from both ends of a piece sum to more than this many lengths.
 
@@ -115,7 +113,7 @@ def rayleigh_speed(soil: Soil) -> Expression:
     """
     _, ratio, kappa = _constants(soil)
     m = ((0.87 + 1.12 * ratio) / (1.0 + ratio)) ** 2
-    for _ in range(_RAYLEIGH_STEPS):
+    for _ in range(5):  # Newton's steps double the number of correct digits, which is three at first
         value = ((m - 8.0) * m + 8.0 * (3.0 - 2.0 * kappa)) * m - 16.0 * (1.0 - kappa)
         m = m - value / ((3.0 * m - 16.0) * m + 8.0 * (3.0 - 2.0 * kappa))
     return shear_wave_speed(soil) * ex.sqrt(m)

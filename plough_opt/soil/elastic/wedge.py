@@ -43,9 +43,6 @@ _TINY = 1e-300
 # Each half of a straight piece is parametrised as x = node +- (length/2) exp(-tau). The pressure, logarithmic at the
 # node, is nearly linear in tau, so a few cells with a few nodes suffice.
 _CELLS = (0.0, 1.0, 2.5, 5.0, 9.0, 15.0, 24.0, 38.0)
-_ORDER = 12
-# Regula falsi steps for a change of sign in a cell; in these nearly linear cells they reach rounding.
-_ROOT_STEPS = 9
 Pair = tuple[Expression, Expression]
 Curve = Callable[[Expression], Expression]
 
@@ -366,7 +363,7 @@ def _ends(symbolic: bool) -> Pair:
 def _over(half: _Half, first: Expression, last: Expression, pressure: Field, weight: Field) -> Expression:
     """Return int p w dx along the face over parts of the cells, from first to last in tau."""
     value: Expression = 0.0
-    for node, share in zip(*ex.gauss_legendre(_ORDER), strict=True):
+    for node, share in zip(*ex.gauss_legendre(12), strict=True):
         tau = first + (last - first) * node
         value = value + share * (last - first) * half.distance(tau) * (pressure(half, tau) * weight(half, tau))
     return ex.total(value)
@@ -411,7 +408,7 @@ def _root(function: Curve, ends: Pair, values: Pair) -> Expression:
     low, high = ends
     at_low, at_high = values
     guess = low
-    for _ in range(_ROOT_STEPS):
+    for _ in range(9):  # in these nearly linear cells they reach rounding
         span = at_high - at_low
         # Both values are zero once the root is found to all digits.
         open_ = ex.absolute(span) > 0.0

@@ -161,27 +161,6 @@ def driven(path, name, signal, **options):
     return found
 
 
-def ramped(time, speed=1.5, ramp=0.4):
-    """Speed of a strut on a ramp: the smoothstep of fifth order."""
-    u = min(time / ramp, 1.0)
-    return speed * u**3 * (10.0 + u * (6.0 * u - 15.0))
-
-
-def test_a_speed_signal_equals_a_tow_ramp(tmp_path):
-    # A scene without events that never retreats.
-    constant, ramping = (
-        fmu_scene(strength_wave=po.StrengthWave(0.3, 0.2), damping=900.0, tow_ramp=ramp, stiffness=1e5)
-        for ramp in (None, 0.4)
-    )
-    run = po.simulate(ramping, DURATION, accuracy=REFERENCE, outputs=200)
-    found = driven(
-        write_fmu(constant, tmp_path / "waved.fmu"), "strut_speed", ramped, output=[*ARRAYS, "strut_position"]
-    )
-    assert worst(found, run) < WITHIN
-    # The path of the ramp is half its time at full speed behind.
-    assert found["strut_position"][-1] == pytest.approx(1.5 * (DURATION - 0.2), rel=WITHIN)
-
-
 def test_a_linear_position_equals_a_tow_speed(tmp_path):
     scene = fmu_scene(strength_wave=WAVE, contact=po.StickSlip(1.3))
     fmu = write_fmu(scene, tmp_path / "share.fmu", strut="position")
@@ -380,26 +359,9 @@ def test_parameters_outside_their_domain_are_refused(fmu, name, value, words):
     made.freeInstance()
 
 
-def test_calls_in_the_wrong_mode_are_refused(fmu):
-    made, references, messages = logged(fmu)
-    force = references["mount_force"]
-    for call, *arguments in (
-        (made.setFloat64, [references["share.half_angle"]], [0.1]),
-        (made.enterContinuousTimeMode,),
-        (made.getFloat64, [10_000]),
-        (made.getDirectionalDerivative, [force], [force], [1.0]),
-        (lambda: started((made, references))[0].setFloat64([references["scene.stiffness"]], [2e5]),),
-    ):
-        with pytest.raises(FMICallException):
-            call(*arguments)
-    assert len(messages) == 5
-    made.freeInstance()
-
-
 def test_a_retreating_share_is_logged(tmp_path, capsys):
-    for contact, warned in (("resisting", True), (po.Smooth(0.1), False)):
-        simulated(write_fmu(fmu_scene(start="rest", contact=contact), tmp_path / "share.fmu"), 0.2)
-        assert ("[WARNING] the share retreats at" in capsys.readouterr().out) is warned
+    simulated(write_fmu(fmu_scene(start="rest"), tmp_path / "share.fmu"), 0.2)
+    assert "[WARNING] the share retreats at" in capsys.readouterr().out
 
 
 def test_the_sources_are_all_that_a_compiler_needs(scene, fmu, tmp_path):

@@ -167,6 +167,8 @@ def test_a_file_that_no_sweep_wrote_is_refused_and_left_as_it_is(inline, tmp_pat
         (f"{head}\n{first},7\n".encode(), "holds what no sweep writes"),
         (f"{head}\n{first.replace('1.0', 'one')}\n".encode(), "holds what no sweep writes .*'one'"),
         (f"{head}\n-{first[1:]}\n".encode(), "holds what no sweep writes"),
+        (f"{head}\n{first.replace('1.0', '9' * 400)}\n".encode(), "a number is infinite"),
+        (b"point,question,warnings,reason\n", "is not the file of a sweep"),
         (sound.replace("root", "sine", 1).encode(), "'sine' cannot name a column"),
         (store.read_bytes(), "is a store of version 0.2, which this version cannot read: name a new CSV file"),
     ):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
-from plough_opt.core.errors import Counted, InputError, count, counted
+from plough_opt.core.errors import Counted, InputError, count, counted, short
 from plough_opt.core.files import COLOURS, CONSTANT, figure_with_panels, scale_of, write_file, written
 from plough_opt.core.plain_data import Array, json_text
 from plough_opt.core.saving import Origin
@@ -98,7 +98,7 @@ class Sweep(Readable):
         heads = first.rstrip("\n").split(",")
         if first.startswith("SQLite format 3"):
             raise InputError(f"'{path}' is a store of version 0.2, which this version cannot read: name a new CSV file")
-        if heads[0] != "point" or heads[-2:] != ["warnings", "reason"] or "question" not in heads:
+        if heads[0] != "point" or heads[-2:] != ["warnings", "reason"] or "question" not in heads[2:]:
             raise InputError(f"'{path}' is not the file of a sweep: name another file")
         pairs = [head.rstrip("]").partition(" [") for head in heads]
         names = [name for name, _, _ in pairs]
@@ -109,8 +109,12 @@ class Sweep(Readable):
             lines.pop()
         try:
             table = np.loadtxt(lines, kind, None, ",", quotechar='"', ndmin=1) if lines else np.zeros(0, kind)
+            if any(np.isinf(table[name]).any() for name, one in kind if one == "f8"):
+                raise ValueError("a number is infinite")
         except ValueError as error:
-            raise InputError(f"'{path}' holds what no sweep writes ({error}): name another file") from None
+            raise InputError(
+                f"'{path}' holds what no sweep writes ({short(str(error), 120)}): name another file"
+            ) from None
         table = table[np.unique(table["point"], return_index=True)[1]]
         units = {name: unit for name, _, unit in pairs if unit}
         return cls(tuple(names[1:middle]), tuple(names[middle + 1 : -2]), table, units, path)
@@ -220,6 +224,8 @@ class Sweep(Readable):
             >>> swept.plot().axes[0].get_ylabel()
             'y'
         """
+        if not len(self):
+            raise InputError("no point is finished: there is nothing to draw")
         results, names = self.results[:6], self.names[:4]
         figure, panels = figure_with_panels(len(results) * len(names), len(names), (3.6, 2.4))
         for axes, pair in zip(panels, itertools.product(results, names), strict=True):

@@ -180,7 +180,7 @@ def explore(options: argparse.Namespace) -> None:
     """Write the page of a file, and open it in the browser unless a path is given.
 
     Raises:
-        InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, or the page
+        InputError: the file has a mistake, an uncertain soil, or the page
             cannot be written.
     """
     from plough_opt.app.page import provenance, write_page

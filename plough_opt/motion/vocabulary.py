@@ -24,7 +24,6 @@ class Measure:
         random: whether it requires strength that varies along the path; tables show it if that strength is random.
         label: label of its extra row in a run's table on the command line; "" for none.
         measured: whether it can be measured in the field and used in a calibration.
-        adds: whether the sum over several shares in one frame is a result of the frame.
     """
 
     unit: Unit
@@ -34,7 +33,6 @@ class Measure:
     random: bool = False
     label: str = ""
     measured: bool = False
-    adds: bool = False
 
     def check(self, name: str, law: ResistanceLaw) -> None:
         """Raise InputError if a law of resistance does not give the measure.
@@ -53,16 +51,16 @@ class Measure:
 
 
 MEASURES: dict[str, Measure] = {
-    "mean_draft": Measure(Unit("N"), lambda run: run.mean_draft, measured=True, adds=True),
+    "mean_draft": Measure(Unit("N"), lambda run: run.mean_draft, measured=True),
     "force_rms": Measure(Unit("N"), lambda run: run.force_rms, measured=True),
     "mean_deflection": Measure(Unit("m"), lambda run: run.mean_deflection, measured=True),
     "displacement_rms": Measure(Unit("m"), lambda run: run.displacement_rms, measured=True),
-    "tow_power": Measure(Unit("W"), lambda run: run.tow_power, measured=True, adds=True),
+    "tow_power": Measure(Unit("W"), lambda run: run.tow_power, measured=True),
     "specific_draft": Measure(Unit("Pa"), lambda run: run.specific_draft, ("loosened_radius",)),
     "loosened_radius": Measure(Unit("m"), lambda run: run.scene.loosened_radius, ("loosened_radius",), measured=True),
     "half_angle": Measure(Unit("rad"), lambda run: run.scene.cone.half_angle),
-    "moving_mass": Measure(Unit("kg"), lambda run: run.scene.mass, adds=True),
-    "added_mass": Measure(Unit("kg"), lambda run: run.scene.carried_soil, ("added_mass",), measured=True, adds=True),
+    "moving_mass": Measure(Unit("kg"), lambda run: run.scene.mass),
+    "added_mass": Measure(Unit("kg"), lambda run: run.scene.carried_soil, ("added_mass",), measured=True),
     "cone_index": Measure(Unit("Pa"), lambda run: cone_index(run.scene.soil), ("cone_index",), measured=True),
     "stationary_force_rms": Measure(Unit("N"), lambda run: run.scene.stationary_force_rms, ("motion",), random=True),
     "stationary_displacement_rms": Measure(

@@ -317,7 +317,7 @@ class Optimum(LocalOptimum):
         warnings: doubts and limits that a reader of the numbers must know.
         sensitivities: sensitivities to parameters and limits, if they were computed before the optimum was saved.
         bought: for a problem file with catalogues, the best design in their values.
-        run: for a problem file, the numeric run at this design, or the runs of several shares.
+        run: for a problem file, the numeric run at this design.
         origin: the question that this optimum answers.
 
     Example:

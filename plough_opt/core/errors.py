@@ -201,8 +201,8 @@ def nearest(name: str, valid: Iterable[str], fitting: Iterable[str] = ()) -> str
 Counted: TypeAlias = dict[str, tuple[str, int, int]]
 """Kind of note -> (text with the ranges of its numbers, number of the first point that has it, number of points)."""
 
-# Atomic, so that no part of "12.5m", "1,000" or a date counts as a number.
-_NUMBER: Final = r"(?<![\w.])(?<!\d[-+,:/])(?>[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?)(?!\w|[-+,.:/]\d)"
+# Atomic, so that no part of "12.5m" or "1,000" counts as a number.
+_NUMBER: Final = r"(?<![\w.,])(?>[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?)(?!\w|,\d)"
 # A quoted name, whose digits are not numbers, or else a number or a range of numbers.
 _PART: Final = re.compile(rf"((?<!\w)'[^']*'(?!\w))|{_NUMBER}(?: to {_NUMBER})?")
 

@@ -224,12 +224,12 @@ def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None
     axes.spines[["left", "right", "top"]].set_visible(False)
 
 
-def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
+def plot_optimum(best: Optimum, run: Run) -> Figure:
     """Draw an optimum: the share, its equivalent cone, the response, the margins, and the designs of the search.
 
     Args:
         best: the optimum.
-        run: its numeric run; for several shares the picture shows their responses instead of their shapes.
+        run: its numeric run.
 
     Example:
         >>> import plough_opt as po
@@ -239,23 +239,20 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
         5
     """
     check_kind("the optimum", best, Optimum, "an Optimum, as returned by Design.solve")
-    check_kind("the run", run, Run | Machine, "a numeric Run, as returned by po.simulate")
+    check_kind("the run", run, Run, "a numeric Run, as returned by po.simulate")
     panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
     required = [limit for limit in best.limits if limit.kind == "requirement" and not limit.trivial]
     rows = -(-len(panels) // _PANELS)
-    response = [p for p in changing(run, best.limits) if p.name != "speed"] if isinstance(run, Run) else []
+    response = [p for p in changing(run, best.limits) if p.name != "speed"]
     heights = [3.2] * (2 if response else 1) + [3.0] * rows
     figure = figure_of_size(12.5, 0.8 + sum(heights))
-    figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)
+    figure.suptitle(subject(run))
     top, *below = np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False))
     left = [top.add_subplot(1, 3 if required else 2, k) for k in (1, 2)]
-    if isinstance(run, Machine):
-        _draw_side_by_side(left, run.runs, run.origin)
-    else:
-        _draw_wedge(left[0], run.scene)
-        _draw_cone(left[1], run.scene)
-        for k, panel in enumerate(response, start=1):
-            draw_panel(below[0].add_subplot(1, len(response), k), run, panel, columns=3)
+    _draw_wedge(left[0], run.scene)
+    _draw_cone(left[1], run.scene)
+    for k, panel in enumerate(response, start=1):
+        draw_panel(below[0].add_subplot(1, len(response), k), run, panel, columns=3)
     if required:
         _draw_margins(top.add_subplot(1, 3, 3), required)
     for row, part in enumerate(below[len(heights) - 1 - rows :]):

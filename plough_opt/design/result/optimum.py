@@ -12,7 +12,7 @@ from plough_opt.core.checks import mapping_of
 from plough_opt.core.errors import InfeasibleDesign, InputError, printable, short
 from plough_opt.core.expressions import ByValue, is_casadi, map_expressions
 from plough_opt.core.files import drawn
-from plough_opt.core.plain_data import Array, ByName, MaybeInfinite, Unsaved
+from plough_opt.core.plain_data import Array, MaybeInfinite, Unsaved
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import OBJECTIVE_DIGITS, Display, customary, in_words
@@ -20,7 +20,7 @@ from plough_opt.design.confirmation import Spread
 from plough_opt.design.declarations import values_in_words
 from plough_opt.design.result.sensitivity import NO_PERCENTAGE, Sensitivity, Solved
 from plough_opt.design.search.effort import expected_unseen
-from plough_opt.motion.run import Machine, Run, without_repetition
+from plough_opt.motion.run import Run, without_repetition
 from plough_opt.motion.simulation import repeat
 
 if TYPE_CHECKING:
@@ -340,7 +340,7 @@ class Optimum(LocalOptimum):
     solved: Annotated[Solved | None, Unsaved()] = field(repr=False, compare=False, default=None)
     sensitivities: tuple[Sensitivity, ...] = ()
     bought: Rounded | None = None
-    run: Annotated[Run | Machine, ByName()] | None = None
+    run: Run | None = None
     origin: Origin = field(default=Origin())
     kind = "optimum"
 

@@ -7,13 +7,14 @@ import re
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import Content, check_new_folder, write_folder
+from plough_opt.core.files import Content, check_new_folder, text_of, write_folder
 from plough_opt.core.process import optional
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.c import described, serialised
@@ -198,40 +199,13 @@ def _module(component: Component) -> str:
     """Return the module's text: `FunctionComponent`, `units_of`, and the data of this component."""
     name, ports = component.name(), described(component)
     classes = "\n\n".join(inspect.getsource(one) for one in (FunctionComponent, units_of)).rstrip()
-    classes = _EXAMPLE.sub("\n", classes)  # they import plough_opt
-    return f'''"""Written by plough_opt {version("plough_opt")}.
-
-{_in_docstring(str(component))}
-"""
-
-from pathlib import Path as _Path
-from typing import Any
-
-import casadi as ca
-import numpy as np
-import openmdao.api as om
-
-_INPUTS = {pprint.pformat(ports["inputs"], width=110, sort_dicts=False)}
-
-_OUTPUTS = {pprint.pformat(ports["outputs"], width=110, sort_dicts=False)}
-
-
-{classes}
-
-
-class {_class_name(name)}(FunctionComponent):
-    """The component of {name}.casadi, which lies beside this file."""
-
-    def __init__(self, **options):
-        function = ca.Function.load(str(_Path(__file__).with_name("{name}.casadi")))
-        super().__init__(function, _INPUTS, _OUTPUTS, **options)
-'''
+    tables = {key: pprint.pformat(ports[key], width=110, sort_dicts=False) for key in ("inputs", "outputs")}
+    about = str(component).replace("\\", "\\\\").replace('"""', "'''")  # so that it does not end its docstring
+    return Template(text_of(__package__, "openmdao_module.txt")).substitute(
+        version=version("plough_opt"), about=about, name=name, kind=_class_name(name), **tables,
+        classes=_EXAMPLE.sub("\n", classes),  # the examples import plough_opt
+    )  # fmt: skip
 
 
 def _class_name(name: str) -> str:
     return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
-
-
-def _in_docstring(text: str) -> str:
-    """Return text with what would end a docstring escaped."""
-    return text.replace("\\", "\\\\").replace('"""', "'''")

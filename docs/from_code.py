@@ -71,7 +71,7 @@ def names(place):
 
 def commands():
     """Return the help of every command."""
-    verbs = next(one for one in parser(whole=True)._actions if isinstance(one.choices, dict))
+    verbs = next(one for one in parser()._actions if isinstance(one.choices, dict))
     helps = {one.dest: one.help for one in verbs._choices_actions}
     parts = [(name, verb) for name, verb in verbs.choices.items() if name in helps]
     return "\n".join(

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.app import tables
-from plough_opt.app.main import PART, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, console, give, progress, quiet, read, wrote
 from plough_opt.core.checks import check_named, plain_number
 from plough_opt.core.compiler import cache_folder
@@ -28,7 +27,7 @@ from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES, quantities
 from plough_opt.core.saving import Origin, load
 from plough_opt.core.tables import Grid, Page, data_frame
-from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display
+from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display, Unit
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.formats import FORMATS, Request
 from plough_opt.laws.forces import cone_index
@@ -43,8 +42,6 @@ from plough_opt.problem_file.schema import file_schema
 from plough_opt.soil.soil import named_soil, soil_names
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from plough_opt.design import LocalOptimum
     from plough_opt.design.search.effort import Search
     from plough_opt.problem_file.sweep import What
@@ -323,7 +320,12 @@ def _options(options: argparse.Namespace) -> dict[str, Any]:
             raise InputError(f"--{name} cannot be used with --to {options.to}, only with {others}")
     if options.description is not None:
         check_file(options.description, "description", ".json")
-    return {name: getattr(options, name) for name in chosen.options} | given_quantities(options, PART)
+    given = {name: getattr(options, name) for name in chosen.options}
+    for name, unit in {"opening": "rad", "thickness": "m"}.items():
+        if given.get(name) is not None:
+            with about(f"--{name}"):
+                given[name] = Unit(unit).parse(given[name])
+    return given
 
 
 def _names(option: str, written: str | None) -> tuple[str, ...]:
@@ -349,16 +351,6 @@ def _best(problem: Problem, *, bought: bool) -> Scene:
         from plough_opt.problem_file.uncertain import optimise_robust  # scipy.stats is slow to import
 
         return problem.scene(optimise_robust(problem, notify).best.variables)
-
-
-# A relative difference below this is rounding.
-_NO_CHANGE = 1e-9
-# SI unit -> results of several runs that are shown in one common unit.
-_RESULTS = {
-    "N": ("mean_draft", "force_rms", "peak_force"),
-    "m": ("mean_deflection", "displacement_rms", "peak_deflection"),
-    "W": ("tow_power",),
-}
 
 
 def show(options: argparse.Namespace) -> None:
@@ -388,109 +380,79 @@ def show(options: argparse.Namespace) -> None:
 
 def _compare(options: argparse.Namespace) -> None:
     """Print saved designs or runs side by side: overrides, variables, requirements and results."""
-    if options.problem:
-        raise InputError("--problem prints the file of one result: name one")
-    saved = {_column(path, options.file): load(path) for path in options.file}
-    for name, one in saved.items():
-        if not _runs(one) and _design(one) is None:
-            raise InputError(f"'{name}' contains neither a design nor a run: name results of optimise or simulate")
-    numbers = {name: _numbers(one) for name, one in saved.items()}
-    origins = {name: one.origin for name, one in saved.items() if hasattr(one, "origin")}
-    notes = (f"{name}: {origin.file}, changed by --set: {' '.join(origin.overrides) or 'nothing'}"
-             for name, origin in origins.items())  # fmt: skip
-    page = Page(f"{len(saved)} results side by side", (_table(saved, numbers), *notes))
-    plain = {name: {key: value for key, (value, _) in own.items()} for name, own in numbers.items()}
-    give(options, page, lambda: json_text(plain), lambda: _figure(saved), lambda: _frame(plain))
-
-
-def _frame(numbers: Mapping[str, Mapping[str, float]]) -> Any:
-    """Return a data frame with a row for each quantity and a column for each result, in SI units."""
-    names = [*dict.fromkeys(name for own in numbers.values() for name in own)]
-    columns = {file: [own.get(name) for name in names] for file, own in numbers.items()}
-    return data_frame({"quantity": names, **columns}, {})
-
-
-def _figure(saved: Mapping[str, Any]) -> Figure:
-    """Return the picture of all designs, or of all runs if there are no designs."""
-    designs = {name: design for name, one in saved.items() if (design := _design(one)) is not None}
-    if designs:
-        return drawn("plot_designs", designs)
-    runs = {f"{name} {share}".rstrip(): run for name, one in saved.items() for share, run in _runs(one).items()}
-    return drawn("plot_runs", runs)
-
-
-def _column(path: str, paths: list[str]) -> str:
-    """Return the heading of a column: the file's name, or its whole path if another file has the same name."""
-    return path if sum(Path(other).name == Path(path).name for other in paths) > 1 else Path(path).name
-
-
-def _design(saved: Any) -> LocalOptimum | None:
-    """Return the best design of a result, or None."""
     from plough_opt.design import LocalOptimum
 
-    best = getattr(saved, "best", saved)
-    return best if isinstance(best, LocalOptimum) else None
+    if options.problem:
+        raise InputError("--problem prints the file of one result: name one")
+    names = [Path(path).name for path in options.file]
+    saved = {path if names.count(name) > 1 else name: load(path)
+             for path, name in zip(options.file, names, strict=True)}  # fmt: skip
+    designs = {name: best for name, result in saved.items()
+               if isinstance(best := getattr(result, "best", result), LocalOptimum)}  # fmt: skip
+    runs = {name: run for name, result in saved.items()
+            if isinstance(run := getattr(designs.get(name, result), "run", result), Run | Machine)}  # fmt: skip
+    if missing := [name for name in saved if name not in runs and name not in designs]:
+        raise InputError(f"'{missing[0]}' contains neither a design nor a run: name results of optimise or simulate")
+    table: dict[str, dict[str, tuple[float, Display]]] = {}  # quantity -> result -> value and its unit
+    for name in saved:
+        for key, value, display in _numbers(designs.get(name), runs.get(name)):
+            table.setdefault(key, {})[name] = value, display
+    origins = {name: result.origin for name, result in saved.items() if hasattr(result, "origin")}
+    notes = (f"{name}: {origin.file}, changed by --set: {' '.join(origin.overrides) or 'nothing'}"
+             for name, origin in origins.items())  # fmt: skip
+    page = Page(f"{len(saved)} results side by side", (_side_by_side(table, [*saved], designs), *notes))
+    plain = {name: {key: own[name][0] for key, own in table.items() if name in own} for name in saved}
+    columns = {name: [plain[name].get(key) for key in table] for name in saved}
+    parts = {f"{name} {share}".rstrip(): part for name, run in runs.items() for share, part in _shares(run).items()}
+    plot = partial(drawn, "plot_designs", designs) if designs else partial(drawn, "plot_runs", parts)
+    give(options, page, lambda: json_text(plain), plot, lambda: data_frame({"quantity": [*table], **columns}, {}))
 
 
-def _runs(saved: Any) -> Mapping[str, Run]:
-    """Return share -> run of a result, with "" for an unnamed share; empty if it has no run."""
-    run = saved if isinstance(saved, Run | Machine) else getattr(saved, "run", None)
-    return {} if run is None else run.runs if isinstance(run, Machine) else {"": run}
+def _shares(run: Run | Machine) -> Mapping[str, Run]:
+    """Return share -> run, with "" for an unnamed share."""
+    return run.runs if isinstance(run, Machine) else {"": run}
 
 
-def _numbers(saved: Any) -> dict[str, tuple[float, Display | None]]:
-    """Return name -> (value in SI, unit to show it in) of quantities, objective, variables, requirements and results.
-
-    The unit of a quantity is None, because `_table` chooses one for all results.
-    """
-    design = _design(saved)
-    found: dict[str, tuple[float, Display | None]] = {}
-    results: dict[str, tuple[float, Display | None]] = {}
-    for share, run in _runs(saved).items():
+def _numbers(design: LocalOptimum | None, run: Run | Machine | None) -> Iterator[tuple[str, float, Display]]:
+    """Yield name, value in SI and unit of quantities, objective, variables, requirements and results."""
+    results = []
+    for share, part in ({} if run is None else _shares(run)).items():
         before = f"{share}." if share else ""
-        given = quantities_of(run.scene)
-        found |= {before + name: (float(value), None) for name, value in given.items() if value is not None}
-        for unit, names in _RESULTS.items():
-            own = {name: float(getattr(run, name)) for name in names}
-            display = run.origin.common(unit, own)
-            results |= {before + name: (value, display) for name, value in own.items()}
+        for name, value in quantities_of(part.scene).items():
+            if value is not None:
+                yield before + name, float(value), part.origin.display(name, EVERY[name].unit, float(value))
+        for unit, names in {"N": ("mean_draft", "force_rms", "peak_force"), "W": ("tow_power",),
+                            "m": ("mean_deflection", "displacement_rms", "peak_deflection")}.items():  # fmt: skip
+            own = {name: float(getattr(part, name)) for name in names}
+            results += [(before + name, value, part.origin.common(unit, own)) for name, value in own.items()]
     if design is not None:
-        found["objective"] = design.objective, Display("", 1.0)
-        found |= {limit.name: (limit.value, limit.shown) for limit in design.limits}
-    return found | results
+        yield "objective", design.objective, Display("", 1.0)
+        yield from ((limit.name, limit.value, limit.shown) for limit in design.limits)
+    yield from results
 
 
-def _difference(values: Sequence[float | None], display: Display) -> str:
-    """Return by how much the second value, or of several the largest from the smallest, differs from the first."""
-    given = [x for x in values if x is not None]
-    if len(given) < 2:
-        return ""
-    change = given[1] - given[0] if len(values) == 2 else max(given) - min(given)
-    if abs(change) <= _NO_CHANGE * max(map(abs, given)):
-        return "0 %"
-    return f"{100.0 * change / abs(given[0]):+.3g} %" if given[0] else display.text(change, 3)
-
-
-def _table(saved: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[float, Display | None]]]) -> Grid:
-    """Return a table with a row for each result and each quantity that differs; each row has one unit."""
-    grid = Grid.of("", "", *saved, "difference" if len(saved) == 2 else "largest difference")
-    for key in dict.fromkeys(key for own in numbers.values() for key in own):
-        cells = [own.get(key) for own in numbers.values()]
-        values = [None if cell is None else cell[0] for cell in cells]
-        display = next((cell[1] for cell in reversed(cells) if cell is not None and cell[1] is not None), None)
-        if display is None:
-            if len(set(values)) == 1:
-                continue  # a quantity with the same value everywhere
-            quantity = EVERY[key if key in EVERY else key.partition(".")[2]]
-            origin = next(run.origin for one in saved.values() for run in _runs(one).values())
-            display = origin.display(quantity.name, quantity.unit, *(x for x in values if x is not None))
-        decides = [(design := _design(one)) is not None and key in design.active for one in saved.values()]
+def _side_by_side(
+    table: Mapping[str, Mapping[str, tuple[float, Display]]], names: list[str], designs: Mapping[str, LocalOptimum]
+) -> Grid:
+    """Return a row for the objective, each limit, and what else differs; a row has the unit of the first result."""
+    grid = Grid.of("", "", *names, "difference" if len(names) == 2 else "largest difference")
+    designed = {"objective", *(limit.name for design in designs.values() for limit in design.limits)}
+    for key, own in table.items():
+        values = [own[name][0] for name in names if name in own]
+        if len(values) == len(names) and len({*values}) == 1 and key not in designed:
+            continue
+        display = next(iter(own.values()))[1]
         digits = OBJECTIVE_DIGITS if key == "objective" else RESULT_DIGITS
-        texts = [
-            "" if x is None else f"{display.text(x, digits)}{' *' * own}"
-            for x, own in zip(values, decides, strict=True)
-        ]
-        grid.row(called(key), *texts, _difference(values, display))
+        stars = {name: " *" * (name in designs and key in designs[name].active) for name in names}
+        texts = [f"{display.text(own[name][0], digits)}{stars[name]}" if name in own else "" for name in names]
+        change = values[-1] - values[0] if len(names) == 2 else max(values) - min(values)
+        if len(values) < 2:
+            difference = ""
+        elif abs(change) <= 1e-9 * max(map(abs, values)):
+            difference = "0 %"
+        else:
+            difference = f"{100.0 * change / abs(values[0]):+.3g} %" if values[0] else display.text(change, 3)
+        grid.row(called(key), *texts, difference)
     grid.caption = "* this limit decides the design" if any("*" in cell for row in grid.rows for cell in row) else ""
     return grid
 

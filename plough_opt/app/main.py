@@ -13,16 +13,14 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any, Final, NoReturn
 
-from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError, about, nearest, printable
+from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError, nearest, printable
 from plough_opt.core.process import load_additions, without_notices
-from plough_opt.core.units import Unit
 
 _SHARED: Final[dict[str, dict[str, Any]]] = {
     "json": {"action": "store_true", "help": "print JSON (SI units) instead of a table"},
@@ -33,65 +31,8 @@ _SHARED: Final[dict[str, dict[str, Any]]] = {
 }
 
 
-_SHORT: Final = {"output": ("-o",)}
-
-
-@dataclass(frozen=True)
-class QuantityOption:
-    """An option whose value is a quantity with a unit.
-
-    Attributes:
-        unit: SI unit.
-        example: placeholder in the help.
-        help: its help text.
-    """
-
-    unit: str
-    example: str
-    help: str
-
-
-PART: Final = {
-    "opening": QuantityOption(
-        "rad", "90 deg", "for a part: angle between the share's faces (default: gives the block the mass that the model"
-        " uses)"
-    ),
-    "thickness": QuantityOption("m", "10 mm", "for a part: thickness of a bent plate (default: a solid block)"),
-}  # fmt: skip
-"""Options of a part for a workshop."""
-
-
-def given_quantities(options: argparse.Namespace, declared: Mapping[str, QuantityOption]) -> dict[str, Any]:
-    """Return name in Python -> value in SI, of the quantity options that are given.
-
-    Raises:
-        InputError: the value of an option is not a quantity of its unit.
-    """
-    values: dict[str, Any] = {}
-    for name, option in declared.items():
-        if (written := getattr(options, name)) is not None:
-            with about(f"--{name}"):
-                values[name] = Unit(option.unit).parse(written)
-    return values
-
-
 class _Parser(argparse.ArgumentParser):
-    """A parser that adds the arguments of a command when it is first used; its messages are fit for a terminal."""
-
-    def __init__(self, *arguments: Any, add: Callable[["_Parser"], None] | None = None, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._add = add
-
-    def fill(self) -> None:
-        """Add the arguments, if they are not added yet."""
-        add, self._add = self._add, None
-        if add is not None:
-            add(self)
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Add the arguments, and parse."""
-        self.fill()
-        return super().parse_known_args(args, namespace)
+    """A parser with shorter ways to add options; its messages are fit for a terminal."""
 
     def error(self, message: str) -> NoReturn:
         """Print a message, which may quote the arguments, on the error stream and exit."""
@@ -108,7 +49,7 @@ class _Parser(argparse.ArgumentParser):
             helps: option -> help text for this command.
         """
         for name in (*names, *helps):
-            flags = [*_SHORT.get(name, ()), f"--{name}"]
+            flags = ["-o", "--output"] if name == "output" else [f"--{name}"]
             self.add_argument(*flags, **(_SHARED[name] | ({"help": helps[name]} if name in helps else {})))
 
     def results(self, *, by_pandas: bool = True, **helps: str | None) -> None:
@@ -123,14 +64,7 @@ class _Parser(argparse.ArgumentParser):
         self.set_defaults(by_pandas=by_pandas)
 
     def option(self, name: str, value: str, text: str, **more: Any) -> None:
-        """Add an option with a value.
-
-        Args:
-            name: name of the option.
-            value: placeholder of its value in the help.
-            text: its help text.
-            more: further arguments of ``add_argument``.
-        """
+        """Add an option with a value; ``value`` is its placeholder in the help."""
         self.add_argument(f"--{name}", metavar=value, help=text, **more)
 
     def switch(self, name: str, text: str) -> None:
@@ -140,11 +74,6 @@ class _Parser(argparse.ArgumentParser):
     def choice(self, name: str, choices: Sequence[str], text: str, default: str | None = None) -> None:
         """Add an option whose value is one of a few."""
         self.add_argument(f"--{name}", choices=choices, default=default, help=text)
-
-    def quantities(self, declared: Mapping[str, QuantityOption]) -> None:
-        """Add options whose values are quantities; ``declared`` maps names to options."""
-        for name, option in declared.items():
-            self.option(name, f'"{option.example}"', option.help)
 
 
 def _init(verb: _Parser) -> None:
@@ -245,7 +174,9 @@ def _export(verb: _Parser) -> None:
     strut = "for an FMU: whether its input is the strut's speed or position (default: speed)"
     verb.choice("strut", ("speed", "position"), strut)
     verb.switch("sources", "for an FMU: only its C source, which needs no compiler")
-    verb.quantities(PART)
+    angle = "for a part: angle between the share's faces (default: gives the block the mass that the model uses)"
+    verb.option("opening", '"90 deg"', angle)
+    verb.option("thickness", '"10 mm"', "for a part: thickness of a bent plate (default: a solid block)")
     verb.choice("body", ("share", "cone"), "for a part: which body (default: share)")
     at = (
         "for a part: the best design, that from the file's catalogue, or the variables' guesses (default: the first of"
@@ -268,57 +199,46 @@ def _accuracy(verb: _Parser) -> None:
     verb.results()
 
 
-@dataclass(frozen=True)
-class _Command:
-    """A command: its line of help, and its arguments; a function of its name in `commands` runs it."""
-
-    help: str
-    add: Callable[[_Parser], None]
-    reads: bool = True  # a problem file, which may be changed by --set
-
-    def arguments(self, name: str, verb: _Parser) -> None:
-        """Add the arguments of the command to its parser, and its function."""
-        how_much = verb.add_mutually_exclusive_group()
-        how_much.add_argument("-q", "--quiet", action="store_true", help="hide progress, notes and names of written"
-                              " files")  # fmt: skip
-        verbose = "show each step with its time; -vv also every solve and run"
-        how_much.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
-        if self.reads:
-            verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
-            change = 'change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable'
-            verb.option("set", 'KEY="VALUE"', change, action="append", default=[])
-        self.add(verb)
-        verb.set_defaults(function=name)
+def _reading(verb: _Parser) -> None:
+    verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
+    change = 'change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable'
+    verb.option("set", 'KEY="VALUE"', change, action="append", default=[])
 
 
-_COMMANDS: Final = {
-    "init": _Command("write a commented problem file to start from", _init, reads=False),
-    "soils": _Command("list the named soils and where their values come from", partial(_Parser.results, plot=None),
-                      reads=False),
-    "show": _Command("print a saved result again with its origin, or several side by side", _show, reads=False),
-    "check": _Command("check a problem file, and show what its scene contains", _check),
-    "simulate": _Command("simulate the scene with every variable at its guess",
-                         partial(_Parser.results, csv="write the motion at every output time: .csv, or .xlsx")),
-    "optimise": _Command("find the best share, and the limits that decide it", _optimise),
-    "tradeoff": _Command("compute the Pareto front of two or three results", _tradeoff),
-    "sweep": _Command("simulate or optimise at every point of a grid or a sample", _sweep),
-    "calibrate": _Command("estimate soil parameters from measured draft", _calibrate),
-    "export": _Command("write the scene for other tools: C, CasADi, OpenMDAO, FMU", _export),
-    "explore": _Command("open one HTML page: the report, and what computes any other design", _explore),
-    "accuracy": _Command("compare error and time of integration methods", _accuracy),
+# Name -> line of help, and what adds the options; a function of the same name in `commands` runs it.
+_COMMANDS: Final[dict[str, tuple[str, Callable[[_Parser], None]]]] = {
+    "init": ("write a commented problem file to start from", _init),
+    "soils": ("list the named soils and where their values come from", partial(_Parser.results, plot=None)),
+    "show": ("print a saved result again with its origin, or several side by side", _show),
+    "check": ("check a problem file, and show what its scene contains", _check),
+    "simulate": ("simulate the scene with every variable at its guess",
+                 partial(_Parser.results, csv="write the motion at every output time: .csv, or .xlsx")),
+    "optimise": ("find the best share, and the limits that decide it", _optimise),
+    "tradeoff": ("compute the Pareto front of two or three results", _tradeoff),
+    "sweep": ("simulate or optimise at every point of a grid or a sample", _sweep),
+    "calibrate": ("estimate soil parameters from measured draft", _calibrate),
+    "export": ("write the scene for other tools: C, CasADi, OpenMDAO, FMU", _export),
+    "explore": ("open one HTML page: the report, and what computes any other design", _explore),
+    "accuracy": ("compare error and time of integration methods", _accuracy),
 }  # fmt: skip
 
 
-def parser(*, whole: bool = False) -> argparse.ArgumentParser:
-    """Return the parser of the command line; ``whole`` adds the arguments of all commands at once."""
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     every = _Parser(prog="plough-opt", description="Design of subsoiler ploughshares: draft, oscillation, constraints.")
     every.add_argument("--version", action="version", version=f"plough-opt {version('plough_opt')}")
     verbs = every.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for name, command in _COMMANDS.items():
-        aliases = ["optimize"] if name == "optimise" else []
-        verb = verbs.add_parser(name, help=command.help, aliases=aliases, add=partial(command.arguments, name))
-        if whole:
-            verb.fill()
+    for name, (text, add) in _COMMANDS.items():
+        verb = verbs.add_parser(name, help=text, aliases=["optimize"] if name == "optimise" else [])
+        how_much = verb.add_mutually_exclusive_group()
+        quiet = "hide progress, notes and names of written files"
+        how_much.add_argument("-q", "--quiet", action="store_true", help=quiet)
+        verbose = "show each step with its time; -vv also every solve and run"
+        how_much.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
+        if name not in ("init", "soils", "show"):
+            _reading(verb)
+        add(verb)
+        verb.set_defaults(function=name)
     return every
 
 

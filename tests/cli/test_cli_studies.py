@@ -325,7 +325,7 @@ OTHERS = {
 
 
 def test_every_command_with_a_result_has_the_same_options():
-    for name, command in parser(whole=True)._subparsers._group_actions[0].choices.items():
+    for name, command in parser()._subparsers._group_actions[0].choices.items():
         flags = {flag for action in command._actions for flag in action.option_strings}
         assert flags & ALL == OTHERS.get(name, ALL), name
         assert ("-o" in flags) == ("--output" in flags), name

@@ -426,7 +426,7 @@ def test_errors_multiply(r1_scene, errors):
     assert not errors or "not physics" in text
 
 
-REPELLING = "repelling spring needs motion: .*formulation = 'derived'"
+REPELLING = "repelling spring needs motion.*formulation = 'derived'"
 
 
 test_invalid_formulations_are_refused = refusals(

@@ -20,7 +20,6 @@ from rich.console import Console
 
 import plough_opt as po
 from plough_opt import plots
-from plough_opt.core.files import shared_legend
 
 WANTED = 1e-6
 SHARE = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
@@ -76,7 +75,12 @@ def figure_of(found: dict[str, po.AccuracyStudy]) -> Figure:
         axes.set(xlim=(1e-4, 2.0), ylim=(3e-16, 3.0))
     for axes in places[len(found) :]:
         axes.set_axis_off()
-    shared_legend(places[-1], places[: len(found)], loc="center", frameon=False)
+    shown = {
+        label: handle
+        for axes in places[: len(found)]
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    places[-1].legend([*shown.values()], [*shown], fontsize="small", loc="center", frameon=False)
     figure.suptitle("What accuracy costs: error of mean draft and RMS force against the time of one run", fontsize=14)
     return figure
 

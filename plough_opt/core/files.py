@@ -36,8 +36,6 @@ CONSTANT: Final = 1e-6
 
 # Positive values whose largest exceeds the smallest by more than this factor have a logarithmic axis.
 _LOG_AXIS_RATIO: Final = 20.0
-# As many as have no divisor in common with the number of colours, so that every pair of both occurs.
-_MARKERS: Final = "os^vDPX<>hp*"
 
 
 def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") -> str:
@@ -277,11 +275,6 @@ def figure_with_panels(count: int, columns: int, size: tuple[float, float]) -> t
     for axes in places[count:]:
         axes.set_visible(False)
     return figure, places[:count]
-
-
-def line_style(number: int) -> dict[str, Any]:
-    """Return colour and marker of a line by its number; no pair of the two repeats before number 84."""
-    return {"color": COLOURS[number % len(COLOURS)], "marker": _MARKERS[number % len(_MARKERS)]}
 
 
 def scale_of(values: Collection[float]) -> Literal["log", "linear"]:

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from itertools import cycle
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, Final
@@ -23,7 +24,7 @@ import numpy as np
 from plough_opt.core.checks import check_domain, check_kind, check_text, plain_number, whole_number
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, PloughError
 from plough_opt.core.expressions import as_number, holds_casadi, map_expressions
-from plough_opt.core.files import figure_with_panels, line_style, written
+from plough_opt.core.files import figure_with_panels, written
 from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.process import available, without_notices
 from plough_opt.core.saving import Origin, Saveable, versions
@@ -393,9 +394,9 @@ class AccuracyStudy(Saveable):
                 axes.annotate(entry.setting, (entry.seconds, entry.right), textcoords="offset points", xytext=(4, -12))
             axes.set(ylabel="part of the searches that find the best design", ylim=(-0.05, 1.05))
             return
-        for number, method in enumerate(METHODS):
+        for method, marker in zip(METHODS, cycle("os^vDPX<"), strict=False):
             if points := [(e.seconds, max(e.error, _ROUNDING)) for e in self._done if e.method == method]:
-                axes.plot(*zip(*points, strict=True), linewidth=1.0, label=method, **line_style(number))
+                axes.plot(*zip(*points, strict=True), linewidth=1.0, marker=marker, label=method)
         front = [(entry.seconds, max(entry.error, self.floor)) for entry in self.front]
         axes.step(*zip(*front, strict=True), where="post", color="#F0C808", linewidth=6.0, alpha=0.7, zorder=1,
                   label="efficient front")  # fmt: skip

@@ -94,6 +94,7 @@ class Trial:
         error: standard deviation of the errors, relative to each value, or to the mean where sigma is not stated.
         stated: whether sigma is stated to the calibration.
         loss: name of the loss.
+        errors: model of errors whose sigma is not stated: "constant", or "relative", as they then are.
     """
 
     name: str
@@ -102,6 +103,7 @@ class Trial:
     error: float = 0.03
     stated: bool = True
     loss: str = "squares"
+    errors: str = "constant"
 
     def run(self, trials: int, seed: int = SEED) -> list[Covered]:
         """Return the coverage of every unknown."""
@@ -115,13 +117,15 @@ class Trial:
         blank = [po.Measurements(result, np.ones(len(next(iter(own.values())))), own)
                  for result, own in self.conditions.items()]  # fmt: skip
         exact = po.Calibration(scene(), blank, self._unknown()).predict(truth)
-        sigma = self.error * (exact if self.stated else np.full(len(exact), exact.mean()))
+        proportional = self.stated or self.errors == "relative"
+        sigma = self.error * (exact if proportional else np.full(len(exact), exact.mean()))
         ends = np.cumsum([len(m.values) for m in blank])[:-1]
         data = [
             po.Measurements(m.result, values, m.conditions, sigma=own if self.stated else None)
             for m, values, own in zip(blank, np.split(exact, ends), np.split(sigma, ends), strict=True)
         ]
-        return po.Calibration(scene(), data, self._unknown(), loss=self.loss, starts=1), sigma
+        options = {"loss": self.loss, "errors": self.errors, "starts": 1}
+        return po.Calibration(scene(), data, self._unknown(), **options), sigma
 
     def _unknown(self) -> dict[str, tuple[float, float, float]]:
         return {name: (*BOUNDS[name], TRUTH[name]) for name in self.unknown}
@@ -159,6 +163,7 @@ CASES = (
     Trial("24 drafts over speed and wedge angle", STRENGTH, PLANE),
     Trial("the same, sigma estimated", ("soil.ambient_pressure", *STRENGTH[1:]), PLANE, stated=False),
     Trial("the same, the loss soft_l1", STRENGTH, PLANE, stated=False, loss="soft_l1"),
+    Trial("the same, errors proportional to the draft", STRENGTH, PLANE, stated=False, errors="relative"),
     Trial("36 drafts over speed, angle and ambient pressure, 8 loosened radii",
           tuple(name for name in BOUNDS if name != "soil.ambient_pressure"), DEPTHS),
     Trial("as in the first row, ambient pressure unknown too", ("soil.ambient_pressure", *STRENGTH), PLANE),

@@ -154,9 +154,15 @@ UNKNOWN = {name: (*BOUNDS[name], TRUTH[name]) for name in NAMES}
 CONDITIONS, EXACT = drafts(np.linspace(0.8, 3.0, 6), np.radians([25.0, 35.0, 45.0, 55.0]))
 
 
-def calibration(errors):
-    data = po.Measurements("mean_draft", EXACT, CONDITIONS)
-    return po.Calibration(steady_scene(), data, UNKNOWN, errors=errors, starts=1)
+def test_errors_that_grow_with_the_draft_are_told():
+    """Of 15 sets with proportional errors most, and of 15 with equal ones hardly one."""
+    data, rng, told = po.Measurements("mean_draft", EXACT, CONDITIONS), np.random.default_rng(1), []
+    own = po.Calibration(steady_scene(), data, UNKNOWN, starts=1)
+    for size in (EXACT, np.full(len(EXACT), np.mean(EXACT))):
+        fits = [own.fit(EXACT + 0.03 * size * rng.standard_normal(len(EXACT))) for _ in range(15)]
+        told.append(sum(any("residuals grow" in text for text in fit.warnings) for fit in fits))
+    assert told[0] > 9
+    assert told[1] < 3
 
 
 def test_the_fit_is_that_of_iterated_weights():

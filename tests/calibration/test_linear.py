@@ -97,7 +97,7 @@ def identifiable(found):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("number", range(6))
 def test_coverage_of_500_trials_is_95_per_cent_within_3(script, number):
     found = script.CASES[number].run(500)
     for own in identifiable(found):

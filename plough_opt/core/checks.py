@@ -70,12 +70,12 @@ def array_of(
     Raises:
         InputError: the values are not numbers, or not valid.
     """
-    found = None
+    array = None
     with suppress(*NOT_NUMBERS):
-        found = np.array(values, dtype=float)
-    if found is None or not valid(found):
+        array = np.array(values, dtype=float)
+    if array is None or not valid(array):
         raise InputError(refusal.replace("{}", shown(values)))
-    return found
+    return array
 
 
 def check_kind(what: str, value: object, kind: type | UnionType, wanted: str) -> None:
@@ -462,9 +462,9 @@ class Call:
     template: tuple[tuple[Any, ...], dict[str, Any]]
     limited: bool = False
 
-    def run(self, given: tuple[tuple[Any, ...], dict[str, Any]]) -> object:
+    def run(self, arguments: tuple[tuple[Any, ...], dict[str, Any]]) -> object:
         """Return what the law returns for arguments like those of the template."""
-        return self.law(*given[0], **given[1])
+        return self.law(*arguments[0], **arguments[1])
 
 
 _lock = threading.RLock()

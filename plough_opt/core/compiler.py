@@ -49,8 +49,8 @@ def find_compiler() -> tuple[str, ...] | None:
             words = shlex.split(command)
         except ValueError as error:
             raise InputError(f"$CC = {command!r} is not a command: {error}; correct or unset it") from None
-        if words and (found := shutil.which(words[0])) is not None:
-            return (found, *words[1:])
+        if words and (program := shutil.which(words[0])) is not None:
+            return (program, *words[1:])
     return None
 
 

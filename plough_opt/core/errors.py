@@ -237,9 +237,9 @@ def listed(words: Sequence[str], by: str = "and") -> str:
     return f" {by} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
-def _merged(one: str, other: str) -> str:
+def _merged(note: str, other: str) -> str:
     numbers = (part[0] for part in _PART.finditer(other) if not part[1])
-    return _PART.sub(lambda part: part[1] or _range(f"{part[0]} to {next(numbers)}"), one)
+    return _PART.sub(lambda part: part[1] or _range(f"{part[0]} to {next(numbers)}"), note)
 
 
 def _range(ends: str) -> str:

@@ -398,24 +398,24 @@ def gauss_legendre(order: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tuple((nodes / 2.0 + 0.5).tolist()), tuple((weights / 2.0).tolist())
 
 
-def same(one: Any, other: Any) -> bool:
+def same(a: Any, b: Any) -> bool:
     """Return whether two values are equal, with NaN equal to NaN and expressions equal only to themselves."""
-    if one is other:
+    if a is b:
         return True
-    if is_casadi(one) or is_casadi(other):
+    if is_casadi(a) or is_casadi(b):
         return False
-    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        one, other = np.asarray(one), np.asarray(other)
-        numbers = one.dtype.kind in "fc" and other.dtype.kind in "fc"
-        return one.shape == other.shape and bool(np.array_equal(one, other, equal_nan=numbers))
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
-    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
-        return len(one) == len(other) and all(map(same, one, other))
-    if type(one) is type(other) and dataclasses.is_dataclass(one):
-        fields = (field for field in dataclasses.fields(one) if field.compare)
-        return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields)
-    return bool(one == other or (one != one and other != other))
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        a, b = np.asarray(a), np.asarray(b)
+        numbers = a.dtype.kind in "fc" and b.dtype.kind in "fc"
+        return a.shape == b.shape and bool(np.array_equal(a, b, equal_nan=numbers))
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(same(value, b[key]) for key, value in a.items())
+    if isinstance(a, list | tuple) and isinstance(b, list | tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    if type(a) is type(b) and dataclasses.is_dataclass(a):
+        fields = (field for field in dataclasses.fields(a) if field.compare)
+        return all(same(getattr(a, field.name), getattr(b, field.name)) for field in fields)
+    return bool(a == b or (a != a and b != b))
 
 
 class ByValue:
@@ -439,10 +439,10 @@ def kept(function: Callable[[Any], _Result]) -> Callable[[Any], _Result]:
 
     @wraps(function)
     def apply(frozen: Any) -> _Result:
-        known: dict[str, Any] = frozen.__dict__
-        if name not in known:
-            known[name] = function(frozen)
-        found: _Result = known[name]
-        return found
+        stored: dict[str, Any] = frozen.__dict__
+        if name not in stored:
+            stored[name] = function(frozen)
+        result: _Result = stored[name]
+        return result
 
     return apply

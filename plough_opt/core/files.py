@@ -64,8 +64,8 @@ def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") 
             raise InputError(f"{name} is too long for {kind}: at most {size} can be read")
         return content.decode()
     except FileNotFoundError:
-        there = sorted(one.name for one in path.parent.glob(f"*{ending}")) if path.parent.is_dir() else []
-        close = [repr(str(path.parent / one)) for one in difflib.get_close_matches(path.name, there, n=2, cutoff=0.7)]
+        there = sorted(file.name for file in path.parent.glob(f"*{ending}")) if path.parent.is_dir() else []
+        close = [repr(str(path.parent / file)) for file in difflib.get_close_matches(path.name, there, n=2, cutoff=0.7)]
         none = missing or f"its folder does not contain any {ending} file; check the path"
         others = f"that folder contains {short(', '.join(there), 200)}" if there else none
         hint = f"did you mean {' or '.join(close)}?" if close else others
@@ -305,7 +305,7 @@ def draw(figure: Figure, file: IO[bytes], **options: Any) -> None:
     """Write a figure into a file; a dollar sign in its texts, which may be a user's, does not begin a formula."""
     from matplotlib.text import Text
 
-    axes = [axis for one in figure.axes for axis in (one.xaxis, one.yaxis) if axis.get_scale() != "linear"]
+    axes = [axis for panel in figure.axes for axis in (panel.xaxis, panel.yaxis) if axis.get_scale() != "linear"]
     powers = {text for axis in axes for text in axis.findobj(Text) if text is not axis.label}
     for text in {*figure.findobj(Text)} - powers:
         text.set_parse_math(False)

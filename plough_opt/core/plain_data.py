@@ -66,7 +66,7 @@ def from_plain(hint: Any, data: Any) -> Any:
     try:
         return _read(hint, data)
     except ValidationError as error:
-        worst = max(error.errors(), key=lambda one: len(one["loc"]))
+        worst = max(error.errors(), key=lambda mistake: len(mistake["loc"]))
     place = ""
     for key in worst["loc"]:  # some are not keys but alternatives of a union
         if not isinstance(data, str):

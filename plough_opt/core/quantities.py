@@ -146,8 +146,8 @@ class Quantity:
         # As a Python number: NumPy's short types cannot be compared with numbers beyond their range.
         value = value.item() if isinstance(value, np.integer | np.floating) else value
         # An integer may be larger than any float.
-        known = isinstance(value, int | float) and -LARGEST <= value <= LARGEST
-        if not known or low <= value <= high or not value:
+        comparable = isinstance(value, int | float) and -LARGEST <= value <= LARGEST
+        if not comparable or low <= value <= high or not value:
             return ""
         for symbol, factor in _SLIPS.get(self.unit, ()):
             if max(low, self.low) <= value * factor <= min(high, self.high):
@@ -279,9 +279,9 @@ def warn_of_slips(what: str, unit: str, values: Iterable[Any]) -> None:
         unit: SI unit.
         values: numbers, strings, pint quantities.
     """
-    alike = [one for one in EVERY.values() if one.unit == unit and one.plausible != (-math.inf, math.inf)]
+    alike = [q for q in EVERY.values() if q.unit == unit and q.plausible != (-math.inf, math.inf)]
     for value in values:
-        if alike and not has_unit(value) and all(slips := [one.slip(value) for one in alike]):
+        if alike and not has_unit(value) and all(slips := [quantity.slip(value) for quantity in alike]):
             _warn_implausible(f"{what} = {value:g} {unit}: {slips[0]}", stacklevel=3)
             return
 
@@ -304,6 +304,6 @@ def read_fields(owner: object, **names: str) -> None:
         if value is None and getattr(type(owner), field, "none") is None:
             continue
         # Three frames lie between `read` and the user's code: this function, __post_init__ and the generated __init__.
-        found = quantity.read(value, stacklevel=4)
-        if found is not value:
-            object.__setattr__(owner, field, found)
+        checked = quantity.read(value, stacklevel=4)
+        if checked is not value:
+            object.__setattr__(owner, field, checked)

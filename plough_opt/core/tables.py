@@ -442,18 +442,18 @@ def number_of(cell: str, factor: float) -> float:
     return value
 
 
-def heading_of(text: str, known: Iterable[str]) -> tuple[str, str | None]:
+def heading_of(text: str, names: Iterable[str]) -> tuple[str, str | None]:
     """Return the name and the unit of a column, such as "cone_index" and "kPa" of "Cone Index [kPa]".
 
     Args:
         text: the heading: a name, in capitals or not, its words joined by "_", "-" or blanks, and a unit in brackets or
             after an underscore.
-        known: valid names; of any other name only the blanks are changed.
+        names: valid names; of any other name only the blanks are changed.
     """
     match = _HEADING.fullmatch(text)
     if match is None:
         return text.strip(), None
-    spelt = {name.lower(): name for name in known}
+    spelt = {name.lower(): name for name in names}
     joined, unit = re.sub(r"[\s-]+", "_", match["name"]), match["unit"] or match["round"]
     stem, _, last = joined.rpartition("_")
     if unit is None and joined.lower() not in spelt and stem.lower() in spelt:
@@ -472,18 +472,18 @@ def columns_of(place: str, headings: Sequence[str], units: Mapping[str, Unit]) -
     Raises:
         InputError: a name is unknown or a unit wrong; the message lists every one.
     """
-    found: list[tuple[str, float]] = []
+    columns: list[tuple[str, float]] = []
     errors = []
     for text in headings:
         name, unit = heading_of(text, units)
         try:
             if name not in units:
                 raise InputError(f"this column is unknown: {nearest(name, units)}")
-            found.append((name, factor_of(name, unit, units[name])))
+            columns.append((name, factor_of(name, unit, units[name])))
         except InputError as error:
             errors.append(f"{place}, column '{short(text.strip())}': {error}")
     raise_listed(errors)
-    return found
+    return columns
 
 
 def table_of(

@@ -99,12 +99,12 @@ class Unit:
         """
         number, factor = self.split(value)
         try:
-            found = float(number) * factor
+            in_unit = float(number) * factor
         except OverflowError:
             raise InputError("must be finite: it is too large") from None
-        if not math.isfinite(found):
+        if not math.isfinite(in_unit):
             raise InputError(f"= {value} must be finite")
-        return found
+        return in_unit
 
     def split(self, value: Any) -> tuple[Any, float]:
         """Return a quantity's number as written, and the conversion factor from its unit to this one.
@@ -208,11 +208,11 @@ def unit_of(what: str, unit: str, *values: Any) -> tuple[str, Display | None]:
     if written is None:
         return unit, None
     own = _written_unit(what, written)
-    found = (symbol if factor != 1.0 else unit) if unit else _to_si(own)[1]
+    symbol_in_si = (symbol if factor != 1.0 else unit) if unit else _to_si(own)[1]
     try:
-        return found, display_of(f"1 {own}", Unit(found)) if own else None
+        return symbol_in_si, display_of(f"1 {own}", Unit(symbol_in_si)) if own else None
     except InputError:  # wrong dimension: reported when the number itself is parsed
-        return found, None
+        return symbol_in_si, None
 
 
 def _written_unit(what: str, value: Any) -> str:

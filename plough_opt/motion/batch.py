@@ -25,12 +25,11 @@ from plough_opt.core.checks import (
     whole_number,
     without_labels,
 )
-from plough_opt.core.compiler import compiler_problem
+from plough_opt.core.compiler import by_rows, compiler_problem
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.expressions import Column, Expression, as_number, is_casadi, is_symbolic, stacked, template_of
 from plough_opt.core.files import drawn
 from plough_opt.core.plain_data import Array
-from plough_opt.core.rows import by_rows
 from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import customary

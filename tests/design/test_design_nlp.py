@@ -14,7 +14,7 @@ from helpers.small_designs import design
 from scipy.optimize import brentq
 
 import plough_opt as po
-from plough_opt.core import rows
+from plough_opt.core import compiler
 from plough_opt.core.expressions import exp
 from plough_opt.design.model.program import Program
 from plough_opt.motion.solvers import compiled_steps
@@ -456,10 +456,10 @@ OPERATIONS = ca.vertcat(
 @pytest.mark.parametrize("count", [1, 16, 17, 50])
 def test_each_operation_on_many_designs_is_what_casadi_finds_one_by_one(count, compiler, monkeypatch):
     if compiler == "no compiler":
-        monkeypatch.setattr(rows, "_library", lambda: None)
+        monkeypatch.setattr(compiler, "_library", lambda: None)
     function = ca.Function("operations", [*SYMBOLS], [ca.densify(OPERATIONS), U + ca.log(V - W)])
     x, p = (np.random.default_rng(2).uniform(0.01, 0.99, (count, size)) for size in (3, 2))
-    for number, found in enumerate(rows.by_rows(function)(x, p)):
+    for number, found in enumerate(compiler.by_rows(function)(x, p)):
         alone = [np.asarray(function(*own)[number]).ravel() for own in zip(x, p, strict=True)]
         # The vector library is right to 4 units in the last place, and cancellation adds to that.
         assert found == pytest.approx(np.array(alone), rel=1e-14, abs=1e-15, nan_ok=True)
@@ -498,7 +498,7 @@ def test_the_optimum_is_the_same(small, cache):
 def test_a_design_is_interpreted_without_a_compiler(small, cache, monkeypatch):
     monkeypatch.setenv("CC", "no_such_compiler")
     monkeypatch.setenv("PATH", str(cache))
-    monkeypatch.setattr(rows, "_library", lambda: None)
+    monkeypatch.setattr(compiler, "_library", lambda: None)
     compiled_steps.compiled_steps.cache_clear()
     try:
         best = small.solve(compiled=True)

@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.compiler import by_rows
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
-from plough_opt.core.rows import by_rows
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.model.nlp import EmbeddedRun, Split, algebra_of, averages_only, has_own_law, holds_maps, refusals
 from plough_opt.motion.solvers.compiled_steps import ManyRuns

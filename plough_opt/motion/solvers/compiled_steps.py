@@ -19,11 +19,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.compiler import Statements, loaded, variants
+from plough_opt.core.compiler import Statements, by_rows, loaded, variants
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import maximum, stacked
 from plough_opt.core.files import text_of
-from plough_opt.core.rows import by_rows
 from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.solvers.orbit import near_orbit, returning
 from plough_opt.motion.solvers.plan import rates

@@ -16,7 +16,7 @@ import numpy as np
 
 from plough_opt.core.checks import check_kind, check_named
 from plough_opt.core.errors import InputError, about
-from plough_opt.core.expressions import Expression, stacked
+from plough_opt.core.expressions import stacked
 from plough_opt.core.quantities import quantities
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
@@ -155,19 +155,15 @@ class ProblemSweep:
         for end in ends:
             with about("in the sweep:"):
                 check_changed(end)
-        question = repr(
-            [what, problem.table.model_dump(exclude={"title"}), problem.values(), problem.course, problem.data]
-        )
+        table = problem.table.model_dump(exclude={"title"})
+        question = repr([what, table, problem.values(), problem.course, problem.data])
         evaluation: Any = partial(_simulated, problem)
         how = "Each point is simulated by po.simulate"
         if what == "optimise":
             ends[0].design()
             evaluation, how = partial(_optimised, problem), "Each point is a whole optimisation, from the file's guess"
-            notes += [
-                f"'{name}' is a variable of the file: every point fixes it"
-                for name in axes
-                if name in problem.variables
-            ]
+            fixed = [name for name in axes if name in problem.variables]
+            notes += [f"'{name}' is a variable of the file: every point fixes it" for name in fixed]
         elif method == "batch" or (method == "auto" and len(points) >= MANY):
             many = SimulationOfMany(problem, tuple(axes), question)
             try:
@@ -185,15 +181,8 @@ class ProblemSweep:
         symbols = {name: quantities()[name].symbol for name in axes}
         shown = {name: displays.get(name, Display(unit, 1.0)) for name, unit in symbols.items()}
         origin, units = Origin(problem.title, {**problem.displays, **shown}), {**_units(problem), **symbols}
-        return cls(
-            evaluation,
-            axes,
-            origin,
-            units,
-            f"{question} {axes} {samples} {seed} {how}",
-            how,
-            tuple(dict.fromkeys(notes)),
-        )
+        question = f"{question} {axes} {samples} {seed} {how}"
+        return cls(evaluation, axes, origin, units, question, how, tuple(dict.fromkeys(notes)))
 
     def run(self, **rest: Any) -> Sweep:
         """Return the results at every point; arguments as in `sweep`."""
@@ -294,7 +283,14 @@ class SimulationOfMany:
             inputs, averages = list(symbols.values()), ca.MX.sym("averages", len(dataclasses.fields(Averages)))
             scene = self.problem.scene(symbols)
             batch = Batch(scene, self.problem.values(symbols).get("scene.duration"), inputs, error=self.error)
-            results = _of_averages(self.problem, scene, averages)
+            over_time: dict[str, Any] = dict.fromkeys([*Run.__dataclass_fields__][1:10])
+            kept = Averages(*ca.vertsplit(averages))
+            run, results = Run(scene, **over_time, averages=kept, accuracy=self.problem.accuracy), dict[str, Any]()
+            for name, one in _columns(scene).items():
+                try:
+                    results[name] = one.of(run)
+                except (AttributeError, TypeError):
+                    raise InputError(f"'{name}' needs the motion over time, which a batch does not keep") from None
             numbers = ca.Function("numbers", [ca.vertcat(*inputs), averages], [stacked(*results.values())])
             return batch, tuple(results), numbers
 
@@ -312,20 +308,3 @@ class SimulationOfMany:
             results = dict(zip((*names, "error_estimate"), column, strict=True))
             answers.append(Answer(results, warnings, found.reasons.get(k, "")))
         return answers
-
-
-def _of_averages(problem: Problem, scene: Scene, averages: ca.MX) -> dict[str, Expression]:
-    """Return the results of a run of which only the averages are known.
-
-    Raises:
-        InputError: a result needs more.
-    """
-    over_time: dict[str, Any] = dict.fromkeys([*Run.__dataclass_fields__][1:10])
-    run = Run(scene, **over_time, averages=Averages(*ca.vertsplit(averages)), accuracy=problem.accuracy)
-    results = {}
-    for name, one in _columns(scene).items():
-        try:
-            results[name] = one.of(run)
-        except (AttributeError, TypeError):
-            raise InputError(f"'{name}' needs the motion over time, which a batch does not keep") from None
-    return results

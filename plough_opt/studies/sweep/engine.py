@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import math
-import multiprocessing.connection
+import multiprocessing
 import os
 import signal
 import threading
@@ -15,6 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExe
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cache
+from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TextIO
 
@@ -139,13 +140,11 @@ def _before(
     path.parent.mkdir(parents=True, exist_ok=True)
     if not path.exists() or not path.stat().st_size:
         return None, done
-    there, other = Sweep.load(path), ""
-    numbers = there.table["point"]
+    there = Sweep.load(path)
+    numbers, other = there.table["point"], ""
     if there.names != names:
         other = f"over {', '.join(there.names)} and not {', '.join(names)}"
-    elif not 0 <= numbers.min(initial=0) <= numbers.max(initial=0) < len(points) or any(
-        (there.table[name] != points[numbers, k]).any() for k, name in enumerate(names)
-    ):
+    elif numbers.max(initial=0) >= len(points) or np.any([there.table[n] for n in names] != points[numbers].T):
         other = f"with other values of {', '.join(names)}"
     elif (there.table["question"] != digest).any():
         other = "of another problem, function, option or version"
@@ -191,13 +190,8 @@ def _answers(
 def _prepare() -> None:
     """Leave Ctrl-C, which at a terminal reaches workers too, to the leading process, and end with that."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if (leader := multiprocessing.parent_process()) is not None:
-        threading.Thread(target=_end_with, args=(leader.sentinel,), daemon=True).start()
-
-
-def _end_with(sentinel: int) -> None:
-    multiprocessing.connection.wait([sentinel])
-    os._exit(1)
+    leader: Any = multiprocessing.parent_process()
+    threading.Thread(target=lambda: os._exit(bool(wait_for([leader.sentinel]))), daemon=True).start()
 
 
 def _work(function: Any, names: Sequence[str], points: list[list[float]]) -> tuple[list[Answer], float]:

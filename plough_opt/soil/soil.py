@@ -330,18 +330,11 @@ _TABLE = (
 )  # fmt: skip
 _NAMED = {
     name: Soil(
-        density=density,
-        density_ratio=ratio,
-        cohesion=cohesion * 1e3,
-        friction_angle=math.radians(friction_angle),
-        tool_friction=tool_friction,
-        youngs_modulus=modulus * 1e6,
-        poisson_ratio=poisson_ratio,
-        name=name,
-        source=f"{_CHOICE}; {brackets}; {_FRICTION}",
+        density, ratio, 1e3 * cohesion, math.radians(angle), tool_friction, STANDARD_ATMOSPHERE, 1e6 * modulus, poisson,
+        name, f"{_CHOICE}; {brackets}; {_FRICTION}",
     )
-    for name, density, ratio, cohesion, friction_angle, tool_friction, modulus, poisson_ratio, brackets in _TABLE
-}
+    for name, density, ratio, cohesion, angle, tool_friction, modulus, poisson, brackets in _TABLE
+}  # fmt: skip
 
 
 def soil_names() -> tuple[str, ...]:

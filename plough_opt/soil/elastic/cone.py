@@ -16,8 +16,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
+import numpy as np
+
+from plough_opt.core import expressions as ex
 from plough_opt.core.checks import LEAST, check_domain
-from plough_opt.core.expressions import Expression, arcsinh, arcsinh_ratio, gauss_legendre, one_node, sqrt, where
+from plough_opt.core.expressions import Expression
 from plough_opt.soil.elastic.medium import (
     BELOW_SHEAR_WAVES,
     FAR,
@@ -266,8 +269,8 @@ class _Point:
     def __init__(self, x: Expression, r: Expression, soil: Ratios) -> None:
         self.x, self.r, self.soil = x, r, soil
         wide, narrow = (soil.alpha * r) ** 2, (soil.eta * r) ** 2
-        self.distance = where(x < 0.0, -x, x)
-        self.fast, self.slow = sqrt(x**2 + wide), sqrt(x**2 + narrow)
+        self.distance = ex.where(x < 0.0, -x, x)
+        self.fast, self.slow = ex.sqrt(x**2 + wide), ex.sqrt(x**2 + narrow)
         self.change = (1.0 - soil.kappa) / (self.fast + self.slow)
         self.inverse_change = -(r**2) * self.change / (self.fast * self.slow)
         self.beyond_fast, self.beyond_slow = wide / (self.fast + self.distance), narrow / (self.slow + self.distance)
@@ -315,7 +318,7 @@ def potentials(
     return ConePotentials(*map(sum, zip(*pieces, strict=True)))
 
 
-@one_node
+@ex.one_node
 def _piece(
     x0: Expression,
     x1: Expression,
@@ -340,8 +343,11 @@ def _piece(
     first, last = _Point(x0, r, soil), _Point(x1, r, soil)
     far = first.slow + last.slow > FAR * length
     source = at_first, slope
-    pairs = zip(_far(first, last, length, source), _near(first, last, source), strict=True)
-    return tuple(where(far, from_far, near_by) for from_far, near_by in pairs)
+    near = _near(first, last, source)
+    # As on the face, where the quadrature would take nearly all the time.
+    if not ex.is_symbolic(far) and not np.any(ex.as_number(far)):
+        return near
+    return tuple(ex.where(far, *pair) for pair in zip(_far(first, last, length, source), near, strict=True))
 
 
 def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) -> ConePotentials:
@@ -367,21 +373,21 @@ def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) ->
 def _logarithm(first: _Point, last: _Point) -> tuple[Expression, Expression]:
     """Return ln((X0 + rho0)/(X1 + rho1)) for alpha, and its difference from that for eta divided by m."""
     soil, r = first.soil, first.r
-    log = arcsinh(first.x / (soil.alpha * r)) - arcsinh(last.x / (soil.alpha * r))
+    log = ex.arcsinh(first.x / (soil.alpha * r)) - ex.arcsinh(last.x / (soil.alpha * r))
     shift = (1.0 - soil.kappa) / (soil.alpha * soil.eta)
     z0, z1 = (shift * point.x / (point.fast + point.slow) for point in (first, last))
-    root0, root1 = (sqrt(1.0 + (soil.m * z) ** 2) for z in (z0, z1))
+    root0, root1 = (ex.sqrt(1.0 + (soil.m * z) ** 2) for z in (z0, z1))
     # Beside the piece the terms of z0 root1 - z1 root0 nearly cancel; use the difference of their squares instead.
     beside = first.x * last.x > 0.0
     crossings = (
-        k**2 / where(beside, first.x * last_rho + last.x * first_rho, 1.0)
+        k**2 / ex.where(beside, first.x * last_rho + last.x * first_rho, 1.0)
         for k, first_rho, last_rho in ((soil.alpha, first.fast, last.fast), (soil.eta, first.slow, last.slow))
     )
     span = (first.x - last.x) * (first.x + last.x) * r**2
     apart = shift * span * sum(crossings) / ((first.fast + first.slow) * (last.fast + last.slow))
-    alike = apart * (z0 + z1) / where(beside, z0 * root1 + z1 * root0, 1.0)
-    turn = where(beside, alike, z0 * root1 - z1 * root0)
-    return log, -turn * arcsinh_ratio(soil.m * turn)
+    alike = apart * (z0 + z1) / ex.where(beside, z0 * root1 + z1 * root0, 1.0)
+    turn = ex.where(beside, alike, z0 * root1 - z1 * root0)
+    return log, -turn * ex.arcsinh_ratio(soil.m * turn)
 
 
 def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expression, Expression]) -> ConePotentials:
@@ -390,15 +396,15 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
     soil, r = first.soil, first.r
     above = (first.x >= 0.0) * (last.x < 0.0)
     total = ConePotentials(*[0.0] * 6)
-    for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
+    for node, weight in zip(*ex.gauss_legendre(FAR_NODES), strict=True):
         point = _Point(first.x - node * length, r, soil)
         cubed = 1.0 / point.fast**2 + 1.0 / (point.fast * point.slow) + 1.0 / point.slow**2
         cubed_change = point.inverse_change * cubed
         share = length * weight * (at_first + slope * node * length) / 2.0
-        side = where(point.x < 0.0, -1.0, 1.0)
+        side = ex.where(point.x < 0.0, -1.0, 1.0)
         # Above the piece use the whole of u_r; ahead of and behind it, u_r - S/r.
         radial = (
-            where(point.x < 0.0, point.beyond_fast, point.fast + point.x) / (r * point.fast)
+            ex.where(point.x < 0.0, point.beyond_fast, point.fast + point.x) / (r * point.fast)
             - 2.0 * point.x * point.inverse_change / r
         )
         kernel = ConePotentials(
@@ -407,16 +413,16 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
             n_x=-point.x / point.fast**3,
             n_x_change=-point.x * cubed_change,
             n_r_change=-r * ((1.0 - soil.kappa) / point.fast**3 + soil.eta**2 * cubed_change),
-            outward=where(above, radial, side * _outward(point)),
+            outward=ex.where(above, radial, side * _outward(point)),
         )
         total = ConePotentials(*(a + share * b for a, b in zip(total, kernel, strict=True)))
     passed = _passed(first.x, last.x, length, source)
-    return total._replace(outward=total.outward + where(above, -passed / r, 0.0))
+    return total._replace(outward=total.outward + ex.where(above, -passed / r, 0.0))
 
 
 def _passed(x0: Expression, x1: Expression, length: Expression, source: tuple[Expression, Expression]) -> Expression:
     """Return the contribution of a piece to S(x), given the distances from its ends."""
-    over = where(x0 < 0.0, 0.0, where(x1 < 0.0, x0, length))
+    over = ex.where(x0 < 0.0, 0.0, ex.where(x1 < 0.0, x0, length))
     return over * (source[0] + source[1] * over / 2.0)
 
 

@@ -34,7 +34,7 @@ def compiled(source=SOURCE, *before):
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache" / "plough_opt"
+    return tmp_path / "cache" / "plough_opt" / "code"
 
 
 def test_a_batch_without_a_compiler_warns(r1_scene, monkeypatch, tmp_path):

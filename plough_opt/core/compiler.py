@@ -168,7 +168,7 @@ def compile_library(source: str, command: Sequence[str], into: Path, libraries: 
 
 
 def cache_folder() -> Path:
-    """Return the folder of the user's libraries: ``$XDG_CACHE_HOME/plough_opt``, or ``~/.cache/plough_opt``.
+    """Return the user's cache folder: ``$XDG_CACHE_HOME/plough_opt``, or ``~/.cache/plough_opt``.
 
     Raises:
         OSError: the home folder is not an absolute path.
@@ -182,9 +182,9 @@ def cache_folder() -> Path:
 
 
 def _private_folder() -> Path:
-    """Return the cache folder, or if it cannot be used a temporary one, which this process removes at its end."""
+    """Return the folder of libraries, or if it is of no use a temporary one, which this process removes at its end."""
     try:
-        folder = cache_folder()
+        folder = cache_folder() / "code"
         folder.mkdir(stat.S_IRWXU, parents=True, exist_ok=True)
         status = folder.stat()
         if hasattr(os, "geteuid") and (status.st_uid != os.geteuid() or status.st_mode & (stat.S_IRWXG | stat.S_IRWXO)):

@@ -151,34 +151,20 @@ def page_model(problem: Problem) -> PageModel:
     return PageModel(f"{source}\nconst FUNCTIONS = {{ {', '.join(listed)} }};\n", data)
 
 
-def design_model(
-    design: Design,
-    shown: Mapping[str, tuple[Expression, Display]] | None = None,
-    rows: Mapping[str, Expression] | None = None,
-    displays: Mapping[str, Display] | None = None,
-) -> PageModel:
+def design_model(design: Design) -> PageModel:
     """Return objective and requirements of a design as JavaScript, with the runs as `Design.nlp` writes them.
 
-    Args:
-        design: the design.
-        shown: name -> further result, in the design's symbols, and its unit.
-        rows: name -> result over time, all at the same times.
-        displays: name of a parameter -> its unit, if not a customary one.
-
     Raises:
-        InputError: the objective is minimised over tolerances, or has no JavaScript form; the message names it.
+        InputError: the objective has no JavaScript form; the message names it.
     """
-    declared, nlp, others, over_time = design.declared, design.nlp(), shown or {}, rows or {}
+    declared, nlp = design.declared, design.nlp()
     x = ca.MX.sym("x", len(declared.variables) + len(declared.parameters))
-    every = ca.vertsplit(x)
-    scaled = [one.scaled(value) for one, value in zip(declared.variables, every, strict=False)]
+    values = ca.vertsplit(x)
+    scaled = [variable.scaled(value) for variable, value in zip(declared.variables, values, strict=False)]
     program = ca.Function("program", [nlp.problem["x"], nlp.problem["p"]], [nlp.problem["f"], nlp.problem["g"]])
-    f, g = program(stacked(*scaled), stacked(ca.MX(), *every[len(scaled) :]))
-    both: list[Variable | Parameter] = [*declared.variables, *declared.parameters]
-    columns = stacked(ca.MX(), *(value for value, _ in others.values())), stacked(ca.MX(), *over_time.values())
-    further = ca.Function("further", [one.symbol for one in both], columns)
+    f, g = program(stacked(*scaled), stacked(ca.MX(), *values[len(scaled) :]))
     source = Source("the page cannot hold this design")
-    name = source.add(ca.Function("whole", [x], [nlp.objective_scale * f, nlp.scales * g, *further(*every)]))
+    name = source.add(ca.Function("whole", [x], [nlp.objective_scale * f, nlp.scales * g]))
     limits = {requirement.name: requirement for requirement in declared.requirements}
     requirements, lows, highs = [], nlp.lbg * nlp.scales, nlp.ubg * nlp.scales
     for key, places in itertools.groupby(range(len(lows)), key=nlp.requirements.__getitem__):
@@ -187,31 +173,30 @@ def design_model(
         unit = shown_in(own.shown if own else customary("", 1.0))
         requirements.append({"name": key, "label": called(key), "low": low, "high": high, "count": len(which), **unit,
                              "words": own.limits_text() if own else "domain of the theory"})  # fmt: skip
-    results = [{"name": key, "label": called(key), **shown_in(unit)} for key, (_, unit) in others.items()]
     data = {
-        "inputs": [_declared(one, displays or {}) for one in both],
-        "results": [{"name": "objective", "label": "objective", "symbol": "", "factor": 1.0}, *results, *requirements],
-        "requirements": requirements, "further": [*others], "rows": [*over_time], "variants": {"": {}}, "switches": [],
-        "axes": [], "known": "best", "objective": True, "certifies": True, "without": "",
-        "file": "", "panels": {}, "tables": None,
+        "inputs": [_declared(symbol) for symbol in (*declared.variables, *declared.parameters)],
+        "results": [{"name": "objective", "label": "objective", "symbol": "", "factor": 1.0}, *requirements],
+        "requirements": requirements, "rows": [], "variants": {"": {}}, "switches": [], "axes": [], "known": "best",
+        "objective": True, "certifies": True, "without": "", "file": "", "panels": {}, "tables": None,
     }  # fmt: skip
     return PageModel(f"{source}\nconst FUNCTIONS = {{ whole: {name} }};\n", data)
 
 
-def _declared(one: Variable | Parameter, displays: Mapping[str, Display]) -> dict[str, Any]:
+def _declared(symbol: Variable | Parameter) -> dict[str, Any]:
     """Return name, unit, bounds and domain of a variable or parameter of a design."""
-    if isinstance(one, Variable):
-        value, display, low, high, ends = one.guess, one.shown, one.lower, one.upper, (one.lower, one.upper)
-        group, log = "variables", bool(one.log)
+    if isinstance(symbol, Variable):
+        value, display, low, high = symbol.guess, symbol.shown, symbol.lower, symbol.upper
+        group, log, ends = "variables", bool(symbol.log), (low, high)
         why = "the steps of this page resolve the motion between these bounds"
     else:
-        value, ends, why = one.value, one.domain, ""
-        group, log = one.name.rpartition(".")[0] or "parameters", False
-        size, display = abs(value) or 1.0, displays.get(one.name) or customary(one.unit, value)
+        value, ends, why = symbol.value, symbol.domain, ""
+        group, log = symbol.name.rpartition(".")[0] or "parameters", False
+        size, display = abs(value) or 1.0, customary(symbol.unit, value)
         low, high = max(ends[0], value - size / 2.0), min(ends[1], value + size)
-    limit = DomainLimit(one.name, one.unit, at_least=max(ends[0], -LARGEST), at_most=min(ends[1], LARGEST), why=why)
+    limit = DomainLimit(symbol.name, symbol.unit, at_least=max(ends[0], -LARGEST), at_most=min(ends[1], LARGEST),
+                        why=why)  # fmt: skip
     about = {"lower": low, "upper": high, "log": log, "value": value, "steps": None}
-    return about | _named(one.name, one.unit, display, group, limit)
+    return about | _named(symbol.name, symbol.unit, display, group, limit)
 
 
 def _named(name: str, unit: str, display: Display, group: str, limit: DomainLimit) -> dict[str, Any]:

@@ -300,14 +300,12 @@ function engine(model, functions, effects = "") {
     const evaluate = (x) => {
       const began = performance.now(), why = outside(x);
       if (why) throw new RangeError(why);
-      const [[objective], every, further = [], curves = []] = functions.whole(x);
-      if (![objective, ...every, ...further].every(Number.isFinite)) throw new RangeError("the design has no finite value here");
+      const [[objective], every] = functions.whole(x);
+      if (![objective, ...every].every(Number.isFinite)) throw new RangeError("the design has no finite value here");
       let from = 0;
       const requirements = model.requirements.map((one) => kept(one, every.slice(from, from += one.count)));
       const results = Object.fromEntries(model.requirements.map((one, k) => [one.name, requirements[k].value]));
-      model.further.forEach((name, k) => { results[name] = further[k]; });
-      const size = curves.length / model.rows.length, rows = Object.fromEntries(model.rows.map((name, k) => [name, curves.slice(k * size, (k + 1) * size)]));
-      return { ...results, objective, rows, requirements, error_estimate: model.error, seconds: (performance.now() - began) / 1000 };
+      return { ...results, objective, rows: {}, requirements, error_estimate: model.error, seconds: (performance.now() - began) / 1000 };
     };
     return { evaluate, refusal: outside, violation, digits };
   }

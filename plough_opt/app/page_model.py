@@ -173,8 +173,9 @@ def design_model(design: Design) -> PageModel:
         unit = shown_in(own.shown if own else customary("", 1.0))
         requirements.append({"name": key, "label": called(key), "low": low, "high": high, "count": len(which), **unit,
                              "words": own.limits_text() if own else "domain of the theory"})  # fmt: skip
+    symbols: list[Variable | Parameter] = [*declared.variables, *declared.parameters]
     data = {
-        "inputs": [_declared(symbol) for symbol in (*declared.variables, *declared.parameters)],
+        "inputs": [*map(_declared, symbols)],
         "results": [{"name": "objective", "label": "objective", "symbol": "", "factor": 1.0}, *requirements],
         "requirements": requirements, "rows": [], "variants": {"": {}}, "switches": [], "axes": [], "known": "best",
         "objective": True, "certifies": True, "without": "", "file": "", "panels": {}, "tables": None,

@@ -331,11 +331,18 @@ class DistributionTable(Table):
     """upper end"""
 
 
+def _check_distribution(written: object) -> object:
+    if isinstance(written, dict):
+        return written
+    example = 'such as { distribution = "normal", mean = "20 kPa", std = "6 kPa" }'
+    raise InputError(f"= {shown(written)} must be a table, {example}; numbers are 'samples', 'fresh', 'seed'")
+
+
 class UncertainTable(Table):
     """Distributions of soil properties by name, and how soils are drawn from them."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, DistributionTable]
+    __pydantic_extra__: dict[str, Annotated[DistributionTable, BeforeValidator(_check_distribution)]]
 
     samples: Annotated[int, Field(ge=8, le=1024)] = 64
     """number of soils that the optimiser uses"""
@@ -428,8 +435,8 @@ def valid_keys(path: tuple[str, ...]) -> list[str]:
     for key in path:
         # A dictionary maps any name to tables of one class, the last argument of its annotation.
         fields = {**table.model_fields} if hasattr(table, "model_fields") else {}
-        further = dict[str, GoalTable] if table is TradeOffTable else table
-        table = fields[key].annotation if key in fields else get_args(further)[-1]
+        further = {TradeOffTable: GoalTable, UncertainTable: DistributionTable}.get(table)
+        table = fields[key].annotation if key in fields else further or get_args(table)[-1]
         table = get_args(table)[0] if type(None) in get_args(table) else table
     return [*table.model_fields]
 

@@ -332,7 +332,7 @@ class DistributionTable(Table):
 
 
 def _check_distribution(written: object) -> object:
-    if isinstance(written, dict):
+    if isinstance(written, dict | DistributionTable):
         return written
     example = 'such as { distribution = "normal", mean = "20 kPa", std = "6 kPa" }'
     raise InputError(f"= {shown(written)} must be a table, {example}; numbers are 'samples', 'fresh', 'seed'")

@@ -1,6 +1,5 @@
 """Resistances of a user's own class and other laws; the public equation of motion."""
 
-import pickle
 from dataclasses import dataclass
 
 import casadi as ca
@@ -15,7 +14,6 @@ from helpers.refusals import refusals
 from helpers.scenes import SEROZEM, Own, Shank, scene_of
 from helpers.small_designs import design
 from scipy.integrate import solve_ivp
-from scipy.optimize import minimize_scalar
 
 import plough_opt as po
 from plough_opt.core.checks import check_domain
@@ -378,52 +376,6 @@ WRONG_MEDIA = [
 def test_problem_file_refuses_anything_else(medium, message):
     with pytest.raises(po.InputError, match=message):
         read(medium)
-
-
-def test_a_redefined_class_is_another_law():
-    def solve(kind):
-        d, force = design(force=(2e3, 1e3, 5e3, "N"))
-        d.minimise(po.simulate(scene(kind(force)), 0.2).mean_draft)
-        return d.solve()
-
-    assert solve(limited(1e9)).variables["force"] == pytest.approx(1e3)
-    with pytest.raises(po.DomainError, match=r"upper bound of 'force'.*force = 5000 N"):
-        solve(limited(4e3))
-
-
-def test_a_component_refuses_a_call_outside_the_domain_between_its_bounds():
-    """The tine is too narrow for its depth near s = 0.31 only."""
-    s = ca.MX.sym("s")
-    law = UniversalEarthmoving(width=0.05 - 0.03 * exp(-(((s - 0.31) / 0.01) ** 2)), depth=0.2, rake_angle=0.6)
-    given = [po.Input("s", symbol=s, lower=-1.0, upper=1.0)]
-    made = po.component(scene_of(medium=law, motion=False), 1.0, inputs=given, outputs=["mean_draft"])
-    for component in (made, pickle.loads(pickle.dumps(made))):
-        assert component(0.2) > 0.0
-        with pytest.raises(po.DomainError, match="depth over width = 10 must be at most 6"):
-            component(0.31)
-
-
-@pytest.mark.parametrize("motion", [False, True])
-def test_an_optimum_at_the_edge_of_a_domain_is_exact_and_names_it(motion):
-    """The least draft over wedge and chisel angles lies at six times the width, by the formula and brute force."""
-
-    def of(wedge, chisel):
-        return scene_of(share=po.Wedge(wedge, chisel, 0.25), medium="universal_earthmoving", motion=motion)
-
-    d, wedge, chisel = design(wedge=("30 deg", "10 deg", "50 deg"), chisel=("35 deg", "5 deg", "60 deg"))
-    d.minimise(po.simulate(of(wedge, chisel), 0.2).mean_draft / 1e3)
-    best = d.solve()
-    assert best.status == "solved"
-    assert best.active == ("the universal earthmoving equation: depth over width",)
-    again = po.simulate(of(best.variables["wedge"], best.variables["chisel"]), 0.2)
-    assert again.mean_draft / 1e3 == pytest.approx(best.objective, rel=1e-8)
-
-    def draft(at):
-        return draft_of(UniversalEarthmoving(0.25, 0.25 / 6.0, at), 2.0) / 1e3
-
-    # At that width the chisel angle alone decides; for any such angle a wedge angle gives the width.
-    brute = minimize_scalar(draft, bounds=(po.deg(5.0), po.deg(60.0)), method="bounded", options={"xatol": 1e-10})
-    assert best.objective == pytest.approx(brute.fun, rel=1e-8)
 
 
 def test_a_problem_file_whose_share_no_wedge_fits_names_law_and_ranges():

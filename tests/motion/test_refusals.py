@@ -130,14 +130,6 @@ def test_each_method_has_its_own_settings_only_within_their_ranges(method):
                 po.Accuracy(method, **{name: value})
 
 
-def test_an_unknown_method_is_refused_with_the_nearest_or_with_all():
-    with pytest.raises(po.InputError, match="no integration method is named 'cvode': did you mean 'cvodes'"):
-        po.Accuracy("cvode")
-    with pytest.raises(po.InputError) as caught:
-        po.Accuracy("euler-maruyama")
-    assert all(method in str(caught.value) for method in METHODS)
-
-
 # --- scenes and runs ---
 
 
@@ -303,14 +295,6 @@ class Undefined(po.ResistanceLaw):
 def test_a_law_without_a_value_is_named_with_its_range(coefficients, words, effects):
     with pytest.raises(po.DomainError, match=f"{words}.*a law with a gap.*fitted below 1 m/s"):
         run(None if "orbit" in effects else 0.2, medium=Undefined(coefficients), **effects)()
-
-
-def test_a_stiff_rate_term_or_own_drag_is_simulated_as_a_damper_of_the_same_slope():
-    slope = 2.0 * 1e3 * float(scene_of().reaction.static) * 2.0
-    for alike in ({"damping": slope}, {"rate_term": 1e3}, {"own": (Own(lambda _, speed: slope * speed),)}):
-        found = run(2.0, stiffness=1e11, start="rest", **alike)()
-        assert found.accuracy.method == "rosenbrock"
-        assert found.mount_force[-1] == pytest.approx(float(found.scene.steady_resistance), rel=0.1)
 
 
 # --- motions without an end ---

@@ -1,15 +1,12 @@
-"""Special motions: smooth contact, grazing, stick, slip, gap, entry, no motion, the print, several strength waves."""
+"""Special motions: smooth contact, stick, slip, gap, entry, no motion, the print, several strength waves."""
 
 import math
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
-from helpers.differences import differences
 from helpers.forces import Forces
-from helpers.linear_motion import released
 from helpers.scenes import BLUNT, R1_SOIL, SHARP, Shank, scene_of
 from scipy.integrate import quad
 
@@ -70,67 +67,6 @@ def test_a_very_small_width_terminates_with_an_honest_error(width):
     )
     assert run.error_estimate <= 1e-8 or any("was not reached" in text for text in run.warnings)
     assert run.mean_draft == pytest.approx(exact.mean_draft, rel=10.0 * width + 10.0 * run.error_estimate)
-
-
-# --- grazing: a share under `StickSlip` whose speed just touches zero ---
-# From rest without drag, wave and damper the speed is L' = V0 (1 - cos(omega t)) once the share has broken loose: it
-# touches zero in every cycle, whatever the stiffness and the tow speed. A slight damper keeps the share moving, and a
-# slight wave keeps it moving or stops it. Derivatives there are those of slipping on.
-
-STIFFNESS, SPEED = 5e4, 2.0
-TIGHT = po.Accuracy("erk", tolerance=1e-13)
-
-
-def grazing_scene(stiffness=STIFFNESS, speed=SPEED, damping=0.0, breakaway=1.0, inertial_drag=False, **effects):
-    sticky = {"start": "rest", "contact": po.StickSlip(breakaway), "inertial_drag": inertial_drag}
-    return scene_of(stiffness=stiffness, tow_speed=speed, damping=damping, **sticky, **effects)
-
-
-def duration(cycles=3.3):
-    """Return the time in which the share breaks loose and swings so many times [s]."""
-    own = grazing_scene()
-    return own.reaction.static / (STIFFNESS * SPEED) + cycles * 2.0 * math.pi / own.natural_frequency
-
-
-def results_of(own, cycles=3.3, accuracy=TIGHT):
-    run = po.simulate(own, duration(cycles), accuracy=accuracy, outputs=1)
-    return [run.mount_force[-1], run.travel[-1], run.mean_draft, run.force_rms]
-
-
-def slopes(build, at, cycles=3.3, accuracy=TIGHT):
-    """Return the derivatives of the results by the arguments of a scene, a row for each result."""
-    x = ca.MX.sym("x", len(at))
-    results = ca.vertcat(*results_of(build(*ca.vertsplit(x)), cycles, accuracy))
-    return ca.Function("slopes", [x], [ca.jacobian(results, x)])(at).full()
-
-
-def exact(stiffness, speed, damping, cycles):
-    """Return mount force and travel of a share that breaks loose once and slips on, in closed form."""
-    static, inertia = grazing_scene().reaction.static, grazing_scene().inertia
-    # It sticks while k0 V0 t + c V0 is below F0.
-    loose = (static - damping * speed) / (stiffness * speed)
-    first = speed * loose - static / stiffness, speed
-    z, rate = released(inertia, damping, stiffness, first, duration(cycles) - loose)
-    return np.array([static + stiffness * z + damping * rate, speed * duration(cycles) - z - static / stiffness])
-
-
-@pytest.mark.parametrize(
-    ("cycles", "accuracy", "allowed"),
-    [(0.5, TIGHT, 1e-11), (1.5, TIGHT, 1e-11), (3.3, TIGHT, 1e-11), (3.3, None, 1e-8)],
-    ids=["no touch", "one touch", "three touches", "three touches by the default"],
-)
-def test_value_and_derivatives_are_those_of_the_exact_motion(cycles, accuracy, allowed):
-    at = np.array([STIFFNESS, SPEED, 0.0])
-    # Relative changes of stiffness and speed, and of critical damping.
-    scales = np.array([STIFFNESS, SPEED, 2.0 * math.sqrt(STIFFNESS * grazing_scene().inertia)])
-    value = exact(*at, cycles)
-    expected = differences(lambda part: exact(*(at + part * scales), cycles), np.zeros(3))
-    # Rounding decides whether a touch of zero counts as a stop, whose duration is then zero.
-    assert np.array(results_of(grazing_scene(), cycles))[:2] == pytest.approx(value, rel=1e-11)
-    found = slopes(grazing_scene, at, cycles, accuracy)
-    assert np.all(np.isfinite(found))
-    # Differences err by about 1e-12.
-    assert np.max(np.abs(found[:2] * scales - expected) / value[:, None]) < allowed
 
 
 # --- the quasi-static limit against adaptive quadrature ---

@@ -23,7 +23,6 @@ from plough_opt.motion.solvers.integrators import Integration, integration
 from plough_opt.motion.solvers.orbit import orbit_start
 from plough_opt.motion.solvers.plan import finer
 from plough_opt.motion.solvers.steps import (
-    OneStep,
     Timeline,
     at_outputs,
     pairs,
@@ -31,6 +30,7 @@ from plough_opt.motion.solvers.steps import (
     product,
     run_from,
     spans_of,
+    step_symbols,
 )
 
 Vector = NDArray[np.float64]
@@ -202,8 +202,7 @@ def _jet_step(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Fu
         varying: positions of the parameters to differentiate by.
         order: of the derivatives.
     """
-    count, one = len(varying), OneStep.of(equation)
-    p, span, start, size = one.p, one.span, one.start, one.size
+    count, (span, p, start, size) = len(varying), step_symbols(equation)
     jet = ca.SX.sym("jet", 2, _width(count, order))
     # Derivatives of the step's start and size: zero unless the duration varies.
     lateness, lengthening = (ca.jacobian(time, p[list(varying)]) for time in (start, size))
@@ -223,12 +222,12 @@ def _jet_step(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Fu
         return following
 
     # With the symbols of the step, so that all stages share what depends on the parameters alone.
-    at = _expanded(equation, varying, order, (p, span))
-    _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p, span)
+    at = _expanded(equation, varying, order, p)
+    _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p)
     found: list[list[ca.SX]] = []
     for row, node in zip(DOP853.stages, DOP853.nodes, strict=True):
         time = ca.horzcat(start + node * size, lateness + node * lengthening)
-        found.append(at.call([time, moved(row, [rate for rate, _, _ in found]), first, p, span]))
+        found.append(at.call([time, moved(row, [rate for rate, _, _ in found]), first, p]))
     rates, changes, squares = zip(*found, strict=True)
     mean, square = (
         ca.reshape(ca.mtimes(ca.horzcat(*columns), ca.DM(DOP853.weights)), -1, jet.shape[1])
@@ -247,24 +246,23 @@ def _compiled_jet_step(equation: Equation, varying: tuple[int, ...], order: int)
     return compiled
 
 
-def _expanded(equation: Equation, varying: tuple[int, ...], order: int, symbols: tuple[ca.SX, ca.SX]) -> ca.Function:
+def _expanded(equation: Equation, varying: tuple[int, ...], order: int, p: ca.SX) -> ca.Function:
     """Return the equation of motion and the signals, expanded to jets.
 
     Args:
         equation: the equation of motion.
         varying: positions of the parameters to differentiate by.
         order: of the derivatives.
-        symbols: of the parameters and of the span of a step.
+        p: symbol of the parameters, the duration last.
 
     Returns:
         Function of the time [s] with its derivatives, the jet of the state, the stacked jet of the signals at the start
-        of the step, the parameters and the span. It returns the stacked jets of the rate of the state, of the changes
+        of the step, and the parameters. It returns the stacked jets of the rate of the state, of the changes
         of the signals since the start of the step, and of the squares of these.
     """
     count = len(varying)
     moment, jet = ca.SX.sym("moment", 1, 1 + count), ca.SX.sym("jet", 2, _width(count, order))
     first = ca.SX.sym("first", equation.count, jet.shape[1])
-    p, span = symbols
     parameters, e = p[:-1], p[list(varying)]
     time, state = moment[0], jet[:, 0]
     value = ca.vertcat(equation.rate(time, state, parameters), equation.signals(time, state, parameters))
@@ -278,7 +276,7 @@ def _expanded(equation: Equation, varying: tuple[int, ...], order: int, symbols:
     rate, now = ca.vertsplit(ca.cse([ca.horzcat(*columns)])[0], [0, 2, 2 + equation.count])
     results = rate, now - first, _square((now - first)[: equation.squared, :], count)
     stacked = [ca.densify(ca.vec(result)) for result in results]
-    return ca.Function("expanded", [moment, jet, ca.vec(first), p, span], stacked)
+    return ca.Function("expanded", [moment, jet, ca.vec(first), p], stacked)
 
 
 def _square(jet: ca.SX, count: int) -> ca.SX:

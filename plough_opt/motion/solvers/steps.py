@@ -260,31 +260,17 @@ def _summed_square(jet: ca.MX, weights: ca.DM, count: int) -> ca.MX:
     return ca.horzcat(sums[:, 0], slopes, bends)
 
 
-@dataclass(frozen=True)
-class OneStep:
-    """Symbols of one step.
+def step_symbols(equation: Equation) -> tuple[ca.SX, ca.SX, Column, Column]:
+    """Return symbols of a step: its span as in `spans_of`, the parameters with the duration last, start and size [s].
 
-    Attributes:
-        span: start and size of the step as fractions of the duration.
-        p: the parameters with the duration last.
-        start: start of the step [s].
-        size: length of the step [s].
+    Start and size follow from the other two.
     """
-
-    span: ca.SX
-    p: ca.SX
-    start: Column
-    size: Column
-
-    @classmethod
-    def of(cls, equation: Equation) -> OneStep:
-        """Create the symbols of a step."""
-        span, (p, _) = ca.SX.sym("span", 2), equation.symbols(ca.SX)
-        return cls(span, p, span[0] * p[-1], span[1] * p[-1])
+    span, (p, _) = ca.SX.sym("span", 2), equation.symbols(ca.SX)
+    return span, p, span[0] * p[-1], span[1] * p[-1]
 
 
 def spans_of(timeline: Timeline) -> ca.DM:
-    """Return the span of each step in a column: see `OneStep`."""
+    """Return start and size of each step as fractions of the duration, a column each."""
     return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
 
 
@@ -305,14 +291,14 @@ def quadrature(timeline: Timeline, points: int) -> tuple[Array, Array]:
 def step(equation: Equation, tableau: Tableau = DOP853) -> ca.Function:
     """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
 
-    The span is that of `OneStep`. The moments are the mean of each signal over the step and then, for each signal with
+    The span is that of `spans_of`. The moments are the mean of each signal over the step and then, for each signal with
     an RMS, the mean square about that mean. Both are computed from the deviation from the value at the step's start, in
     which cancellation costs at most a factor of four.
     """
-    at = OneStep.of(equation)
-    size, given, state = at.size, at.p[:-1], ca.SX.sym("state", equation.states)
+    span, p, start, size = step_symbols(equation)
+    given, state = p[:-1], ca.SX.sym("state", equation.states)
     rates: list[ca.SX] = []
-    first = equation.signals(at.start, state, given)
+    first = equation.signals(start, state, given)
     mean, square = ca.SX.zeros(equation.count), ca.SX.zeros(equation.squared)
 
     def moved(weights: Sequence[float]) -> ca.SX:
@@ -320,14 +306,14 @@ def step(equation: Equation, tableau: Tableau = DOP853) -> ca.Function:
         return sum(((size * part) * rate for part, rate in zip(weights, rates, strict=True) if part != 0.0), state)
 
     for row, node, weight in zip(tableau.stages, tableau.nodes, tableau.weights, strict=True):
-        time, stage = at.start + node * size, moved(row)
+        time, stage = start + node * size, moved(row)
         rates.append(equation.rate(time, stage, given))
         if weight != 0.0:
             change = equation.signals(time, stage, given) - first
             mean += weight * change
             square += weight * change[: equation.squared] ** 2
     spread = square - mean[: equation.squared] ** 2
-    return ca.Function("step", [state, at.span, at.p], ca.cse([moved(tableau.weights), stacked(first + mean, spread)]))
+    return ca.Function("step", [state, span, p], ca.cse([moved(tableau.weights), stacked(first + mean, spread)]))
 
 
 def run_map(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:

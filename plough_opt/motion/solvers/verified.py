@@ -2,6 +2,7 @@
 
 import logging
 import math
+from collections.abc import Iterator
 
 from plough_opt.core.errors import IntegrationError
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
@@ -43,42 +44,52 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
 
 
 def _refined(case: Case, wanted: float) -> tuple[Run, float]:
-    """Refine the methods that suit a case, one after another; return the first run that reaches the error, or the best.
+    """Try the methods that suit a case, one after another; return the first run that reaches the error, or the best.
 
     Raises:
-        IntegrationError: every attempt failed.
+        IntegrationError: every method failed.
     """
     best: Run | None = None
-    least, failure, margin = math.inf, None, _MARGIN if case.structure.kinked else 1.0
-    summed, fewest = plan.rates_of(case.scene).summed * case.duration, plan.fewest_steps(case.p)
+    least, failure = math.inf, None
     for method in plan.suited(case.structure, case.phase):
-        setting, before = plan.first_setting(method, wanted, summed, fewest), math.inf
-        # Attempts of a method to reach the wanted error. The number of steps follows from the error of the attempt
-        # before.
-        for _ in range(4):
-            error = math.inf
-            try:
-                run, error = _agreement(case, setting, plan.coarser(setting), margin)
-            except Escape:
-                raise
-            except IntegrationError as failed:
-                failure = failed
-                if setting.adaptive and not isinstance(failed, MissedEvent):  # it chose its steps itself
-                    break
-            if error < least:
-                best, least = run, error
-            if error <= wanted or error > 0.5 * before:  # beyond rounding, chaos or a kink finer settings do not help
-                break
-            following, before = plan.refined(setting, error, wanted), error
-            if following == setting:
-                break
-            setting = following
+        try:
+            for run, error in _refinements(case, method, wanted):
+                best, least = (run, error) if error < least or best is None else (best, least)
+        except Escape:
+            raise
+        except IntegrationError as failed:
+            failure = failed
         if least <= wanted:
             break
     if best is None:
-        assert failure is not None  # an attempt finds a run or fails
+        assert failure is not None  # a method yields a run or fails
         raise failure
     return best, least
+
+
+def _refinements(case: Case, method: str, wanted: float) -> Iterator[tuple[Run, float]]:
+    """Yield runs by finer and finer settings with their errors, until one reaches the wanted error or hardly gains.
+
+    Raises:
+        IntegrationError: the method failed, and finer settings do not help.
+    """
+    summed, fewest = plan.rates_of(case.scene).summed * case.duration, plan.fewest_steps(case.p)
+    setting, before = plan.first_setting(method, wanted, summed, fewest), math.inf
+    for attempts_left in (3, 2, 1, 0):
+        error = math.inf
+        try:
+            run, error = _agreement(case, setting, plan.coarser(setting), _MARGIN if case.structure.kinked else 1.0)
+        except IntegrationError as failed:
+            chosen = setting.adaptive and not isinstance(failed, MissedEvent)  # an adaptive method chose its steps
+            if chosen or not attempts_left:
+                raise
+        else:
+            yield run, error
+        if error <= wanted or error > 0.5 * before:  # beyond rounding, chaos or a kink finer settings do not help
+            return
+        last, setting, before = setting, plan.refined(setting, error, wanted), error
+        if setting == last:
+            return
 
 
 def _agreement(case: Case, setting: Accuracy, check: Accuracy, margin: float) -> tuple[Run, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Final, TypeAlias
 
 import casadi as ca
@@ -54,7 +54,6 @@ class TightEvaluation:
     Attributes:
         parts: the expressions, split around their runs.
         runs: the runs in the expressions.
-        limits: limits of the laws in the expressions, as arguments of a `Requirement`.
     """
 
     def __init__(
@@ -65,9 +64,10 @@ class TightEvaluation:
         Args:
             expressions: the expressions.
             symbols: the symbols in them.
-            shared: another evaluation, whose cache of runs this one uses, too.
+            shared: another evaluation of the same design, whose cache of runs and limits this one uses, too.
         """
         self._tight: _Tight = lru_cache(maxsize=_MOST_CACHED)(_tight_results) if shared is None else shared._tight
+        self._symbols, self._shared = list(symbols), shared
         self.parts = parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
@@ -94,20 +94,30 @@ class TightEvaluation:
                 self._scenes.append((meaning, quantities))
             elif not meaning.limited:
                 self._calls.append((meaning, quantities))
-        own = _declared_limits(parts, symbols)
+        self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
+
+    @cached_property
+    def _declared(self) -> list[tuple[DomainLimit, Any]]:
+        return _declared_limits(self.parts, self._symbols) if self._shared is None else self._shared._declared
+
+    @cached_property
+    def limits(self) -> list[tuple[str, ca.MX, float | None, float | None, str]]:
+        """Limits of the laws in the expressions, as arguments of a `Requirement`."""
         limits: dict[_Kept, list[ca.MX]] = {}
-        for limit, value in own:
+        for limit, value in self._declared:
             if not value.is_symbolic():
                 limits.setdefault((limit.name, *limit.kept, limit.unit), []).append(value)
-        self.limits = [
+        return [
             (name, ca.vertcat(*values), low, high, unit)
             for (name, low, high, unit), values in sorted(limits.items(), key=lambda item: item[0][0])
         ]
-        # Limits on single symbols, which the bounds of variables must keep, and the Function that gives these.
-        bare = [(limit, value) for limit, value in own if value.is_symbolic()]
-        self._bare = [limit for limit, _ in bare]
-        self._bare_symbols = ca.Function("bare", list(symbols), [ca.vertcat(ca.MX(), *(value for _, value in bare))])
-        self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
+
+    @cached_property
+    def _bare(self) -> tuple[list[DomainLimit], ca.Function]:
+        """Limits on single symbols, which the bounds of variables must keep, and the Function that gives these."""
+        bare = [(limit, value) for limit, value in self._declared if value.is_symbolic()]
+        column = ca.vertcat(ca.MX(), *(value for _, value in bare))
+        return [limit for limit, _ in bare], ca.Function("bare", self._symbols, [column])
 
     def inputs(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Scene]:
         """Return a run's parameters, with the duration last, and its scene at numbers.
@@ -148,7 +158,8 @@ class TightEvaluation:
 
     def _bare_values(self, numbers: Sequence[float]) -> Iterator[tuple[DomainLimit, float]]:
         """Yield the limits on single symbols with the symbols' values."""
-        yield from zip(self._bare, self._bare_symbols(*numbers).full().ravel().tolist(), strict=True)
+        limits, symbols = self._bare
+        yield from zip(limits, symbols(*numbers).full().ravel().tolist(), strict=True)
 
     def surely_inside(self, numbers: Sequence[float]) -> bool:
         """Return whether no scene and no law refuses these numbers, if that can be told from all at once."""

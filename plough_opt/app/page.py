@@ -191,15 +191,12 @@ def _sections(report: Report) -> dict[str, Sequence[Part]]:
         "accuracy": [_accuracy(report)], "soil": [_soil(report), scene],
     }  # fmt: skip
     if best is None:
-        return sections | dict.fromkeys(("design", "search", "sensitivities"), ())
-    design: list[Part] = [*best.design_tables()]
-    design += [best.spread.in_words()] if best.spread is not None else []
-    searched: list[Part] = [str(best.search)] if best.search is not None else []
-    searched += [] if best.bought is None else [best.bought.comparison(best)[0]]
-    searched += [best.optima_table("Local optima found, best first")] if len(best.local_optima) > 1 else []
+        return sections | dict.fromkeys(("design", "sensitivities"), ())
     grid = sensitivity_table(report.problem, report.sensitivities)
     unknown = f"Not available: {report.unknown or 'no quantity changes the objective'}."
-    return sections | {"design": design, "search": searched, "sensitivities": [grid if grid.rows else unknown]}
+    return sections | {
+        "design": replace(best, run=None).page().parts, "sensitivities": [grid if grid.rows else unknown],
+    }  # fmt: skip
 
 
 def _in_words(part: Part) -> Part:
@@ -259,15 +256,10 @@ def _question(report: Report) -> list[str]:
 
 def _notes(report: Report) -> list[str]:
     """Return all warnings as sentences."""
-    found = [*(report.best.warnings if report.best else ()), *report.run.warnings]
-    if report.best is not None:
-        found = [*filter(None, [report.best.keeping()]), *found]
-        for direction in report.best.flat_directions:
-            names = listed([called(name) for name, change in direction.items() if change])
-            found.append(f"the optimum is not unique: the result does not change along {names}; fix one of these")
-        for name in dict.fromkeys(name for one in report.sensitivities for name in one.touching):
-            found.append(f"{called(name)} is just met: sensitivities apply to increasing values")
-    return [f"{text[:1].upper()}{text[1:]}." for text in dict.fromkeys(found)]
+    notes = [*(report.run.warnings if report.best is None else report.best.page().notes)]
+    met = dict.fromkeys(name for item in report.sensitivities for name in item.touching)
+    notes += [f"{called(name)} is just met: sensitivities apply to increasing values" for name in met]
+    return [f"{text[:1].upper()}{text[1:]}." for text in notes]
 
 
 def _shown(front: TradeOff) -> FrontPoint:
@@ -298,9 +290,7 @@ def _dimensions(report: Report) -> Grid:
         ("area of the two faces", f"{1e4 * body.area:.4g} cm^2"),
         ("angle between the faces, as drawn", angle.text(body.opening, 4)),
         ("height", length.text(float(cone.height), 4)),
-        ("half angle of the cone", angle.text(float(cone.half_angle), 4)),
         ("base radius of the cone", length.text(float(cone.height * cone.slope), 4)),
-        ("moving mass, frame and share", f"{float(report.run.scene.mass):.4g} kg"),
     ]
     return Grid.pairs("Dimensions", *((name, nice(value)) for name, value in rows))
 

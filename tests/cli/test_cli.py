@@ -28,7 +28,6 @@ import plough_opt as po
 from plough_opt.app import commands, terminal
 from plough_opt.app.main import main
 from plough_opt.core import process
-from plough_opt.core.process import heartbeat
 from plough_opt.core.screen import Screen, progress_on
 from plough_opt.problem_file import template
 from plough_opt.studies.sweep import engine
@@ -306,33 +305,6 @@ def test_verbose_says_each_step_and_twice_each_run_and_leaves_logging_as_it_was(
 def soon(monkeypatch):
     """Write lines of progress after hundredths of a second."""
     monkeypatch.setattr(process, "INTERVAL", 0.01)
-
-
-@pytest.mark.usefixtures("soon")
-def test_it_says_what_is_being_done_until_it_is_done():
-    lines = []
-    with heartbeat(lines.append) as told:
-        until(lambda: len(lines) >= 2)
-        told("calibrating")
-        until(lambda: lines[-1].startswith("calibrating: "))
-    count = len(lines)
-    assert lines[0] == "working: 0 s so far"
-    time.sleep(0.05)
-    assert len(lines) == count
-
-
-@pytest.mark.usefixtures("soon")
-@pytest.mark.parametrize("error", [BrokenPipeError, ValueError("closed file")])
-def test_a_reader_that_went_away_is_no_matter(error):
-    tried = []
-
-    def gone(line):
-        tried.append(line)
-        raise error
-
-    with heartbeat(gone):
-        until(lambda: tried)
-    assert len(tried) == 1
 
 
 @pytest.mark.usefixtures("soon")

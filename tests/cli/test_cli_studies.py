@@ -261,10 +261,6 @@ def test_json():
         assert point["rate"] * point["objectives"][0] / point["objectives"][1] == pytest.approx(0.5, rel=1e-6)
 
 
-def test_a_trading_file_is_valid_and_says_what_next():
-    assert "plough-opt tradeoff" in printed("check", PROBLEMS / "draft_oscillation_loosening.toml").replace("\n", " ")
-
-
 @pytest.mark.slow
 def test_the_shipped_surface_is_even_and_certified():
     front = po.read_problem(PROBLEMS / "draft_oscillation_loosening.toml").trade_off()
@@ -381,15 +377,3 @@ def test_an_infeasible_problem_gives_its_conflicts(static, tmp_path):
     for words in ("no solution: ", "'loosened_radius' (at least 5 m) fails by", "height = 0.5 m"):
         assert words in done.said
     assert f"wrote {tmp_path / 'a.json'}" in done.err.splitlines()
-
-
-def test_no_command_prints_more_digits_than_the_model_deserves(static):
-    for name in ("simulate", "optimise"):
-        out = printed(name, static)
-        for row in ("mean draft", "mean deflection", "tow power"):
-            number = cells(out, row)[0].split()[0]
-            assert len(number.replace(".", "").lstrip("0")) <= 4, (name, row, number)
-    assert (
-        cells(printed("optimise", static), "share.height")[0]
-        == f"{po.read_problem(static).optimise()[0].variables['share.height']:.4g} m"
-    )

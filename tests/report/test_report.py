@@ -146,7 +146,7 @@ def test_an_orbit_under_another_law_whose_optimum_is_not_unique(tmp_path):
     found = Page(text).text
     assert told["wrote"] == [str(out)]
     assert [value for value in told["provenance"].values() if value not in found["provenance"]] == []
-    assert re.search("the result does not change along (share height and )?stiffness", found["warnings"])
+    assert re.search("The optimum is not unique: nothing changes along .*stiffness", found["design"])
     assert ("periodic" in found["soil"], "cone index" in found["soil"]) == (True, False)
     assert "Section of the equivalent cone;" in text  # nothing is compacted
     assert ">0\u00a0kN<" in text  # the margin of the limit that decides, whatever the optimiser's rounding
@@ -207,27 +207,6 @@ def test_the_motion_plays_and_steps(desk):
     motion.get_by_label("time").fill("500")
     assert time() == pytest.approx(1.0)
     assert "deflection" in motion.locator("output").inner_text()
-
-
-def test_the_page_fits_a_phone(browser, written):
-    page, said, _ = open_page(browser, written, 390, 844)
-    assert page.evaluate("document.documentElement.scrollWidth") == 390
-    beyond = "one => one.getBoundingClientRect().right > 391 && !one.closest('.grid, pre')"
-    wide = page.locator("section *:visible").evaluate_all(f"all => all.filter({beyond}).map(one => one.outerHTML)")
-    assert wide == []
-    assert said == []
-
-
-def test_the_page_prints_on_paper(browser, written, tmp_path):
-    page, _, _ = open_page(browser, written)
-    assert page.pdf(path=tmp_path / "report.pdf", format="A4").startswith(b"%PDF")
-    # A4 within its margins of 16 mm is 672 px wide.
-    page.set_viewport_size({"width": 672, "height": 950})
-    page.emulate_media(media="print")
-    page.evaluate("dispatchEvent(new Event('beforeprint'))")
-    ends = page.locator("canvas").evaluate_all("all => all.map(one => one.getBoundingClientRect().right)")
-    assert max(ends) <= 673
-    assert not page.locator("#motion .controls").is_visible()
 
 
 def test_the_first_sections_say_what_was_found_and_how_far_to_trust_it(written):

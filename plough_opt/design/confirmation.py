@@ -126,13 +126,13 @@ def _warnings(program: Program, value_error: float, slope_error: float) -> Itera
 
 def gap_of(program: Program, p: Vector, point: Point) -> float:
     """Return the relative difference between the optimiser's objective at a point and the tightly integrated one."""
-    exact = float(program.exact_values(point.y, p)[0][0].item())
+    exact = float(program.exact_values(point.y, p)[0].item())
     return abs(point.f * program.objective_scale - exact) / max(abs(exact), SMALL * program.objective_scale)
 
 
 def _violation(program: Program, p: Vector, point: Point) -> float:
     """Return the largest scaled violation of a requirement at a point by tight integration."""
-    values = zip(program.exact_values(point.y, p)[0][1:], program.scales, strict=True)
+    values = zip(program.exact_values(point.y, p)[1:], program.scales, strict=True)
     return program.violation(np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)]))
 
 

@@ -23,7 +23,7 @@ from plough_opt.design.search.descent import descend
 from plough_opt.design.search.effort import Search, TimeLimit, effort_of, searched
 from plough_opt.design.search.explore import Explored, Progress, explore
 from plough_opt.design.search.feasible import feasible_designs, from_least_violation, nearest_feasible
-from plough_opt.design.search.landscape import Evaluations, Landscape, concatenated
+from plough_opt.design.search.landscape import Evaluations, Landscape, concatenated, only_falls
 from plough_opt.design.search.polish import AS_FOUND, converged_tightly, point_as_found, polished
 
 
@@ -38,8 +38,11 @@ class _Optima:
     same: Final = 1e-4  # Optima count as the same if no scaled variable differs by this much.
 
 
-# Longest move of a variable in a descent that stays in the basin of its start.
+# Longest move of a variable in a descent that stays in the basin of its start. A rise by this fraction is a barrier
+# between basins, sought at so many designs on the way.
 _NEAR = 0.05
+_BARRIER = 1e-3
+_ACROSS = 256
 
 _LEFT_OUT = (
     "the search left out {}: there may be a better design; search='thorough', a number of designs or a time such as"
@@ -193,7 +196,10 @@ def near_optimum(landscape: Landscape, start: Vector) -> tuple[Program, Point]:
         if point.solved and not (guess.solved and point.f > guess.f):
             return program, point
         return program, (polished if guess.solved else from_least_violation)(program, p, start)
-    y = descend(landscape, nearest_feasible(landscape, start), longest=_NEAR).points[0]
+    end = descend(landscape, start)
+    if not end.feasible[0] or not only_falls(landscape, start[None], end.points[0], _BARRIER, _ACROSS)[0]:
+        end = descend(landscape, nearest_feasible(landscape, start), longest=_NEAR)
+    y = end.points[0]
     program = with_sure_steps(program, p, [y])
     return program, polished(program, p, y)
 

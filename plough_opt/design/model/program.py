@@ -104,7 +104,7 @@ class _Caches:
     parts: dict[Hashable, Split] = field(default_factory=dict)
     population: dict[Hashable, Population] = field(default_factory=dict)
     values_at_guess: dict[Hashable, list[Vector]] = field(default_factory=dict)
-    exact_values: dict[Hashable, tuple[list[Vector], list[Vector]]] = field(default_factory=dict)
+    exact_values: dict[Hashable, list[Vector]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,13 +201,10 @@ class Program:
         ]
         return np.column_stack(columns)
 
-    def exact_values(self, y: Vector, p: Vector) -> tuple[list[Vector], list[Vector]]:
-        """Return objective and requirements by tight integration, and again by the method that checks it."""
-        numbers = [*self.values(y), *p]
-        at = y.tobytes(), p.tobytes()
-        return cached(
-            self._caches.exact_values, at, lambda: (self.exact.values(numbers), self.exact.values(numbers, check=True))
-        )
+    def exact_values(self, y: Vector, p: Vector, *, check: bool = False) -> list[Vector]:
+        """Return objective and requirements by tight integration, or by the method that checks it."""
+        numbers, at = [*self.values(y), *p], (y.tobytes(), p.tobytes(), check)
+        return cached(self._caches.exact_values, at, lambda: self.exact.values(numbers, check=check), _MOST_PROGRAMS)
 
     @cached_property
     def first_rows(self) -> list[int]:

@@ -71,7 +71,7 @@ def reports(
 def _local_optimum(program: Program, landscape: Landscape, point: Point, name: str) -> LocalOptimum:
     """Return the report on a point, from tightly integrated runs."""
     p = landscape.p
-    found, check = program.exact_values(point.y, p)
+    found, check = program.exact_values(point.y, p), program.exact_values(point.y, p, check=True)
     objective = float(found[0].item())
     values = program.values(point.y)
     return LocalOptimum(

@@ -168,9 +168,12 @@ class _Descent:
                 break
             step, lam_g, lam_y = found
         moves = self._fractions[:, None] * step
+        bent = lagrangian(hessians, lam_g)
+        if np.linalg.eigvalsh(bent)[0] >= 0.0:
+            return moves, lam_g * size
         held = (np.abs(lam_y) > Zero.multiplier) & (np.abs(step) < longest)
         free = free_directions(np.vstack([at[2][np.abs(lam_g) > Zero.multiplier], np.eye(len(y))[held]]))
-        curvatures, directions = reduced_curvatures(lagrangian(hessians, lam_g), free)
+        curvatures, directions = reduced_curvatures(bent, free)
         if np.any(curvatures < _Steps.concave):
             aside = directions[:, 0] / np.max(np.abs(directions[:, 0]))
             slope = gradient @ aside

@@ -36,6 +36,8 @@ class _Extent:
     fewest: Final = 8  # designs of a sample
     fewest_one_by_one: Final = 32  # unless they are integrated one by one
     thorough: Final = 4  # rounds of a thorough search
+    descents: Final = 4  # from the lowest local minima of a sample, and for each variable
+    descents_each: Final = 3
 
 
 # Largest number of designs accepted as `search`: it takes days.
@@ -53,7 +55,8 @@ class Effort:
         rounds: number of rounds, unless one of the following is given.
         most_designs: number of designs after which to stop, or None.
         seconds: time after which to stop [s], or None.
-        descents: most descents from local minima of the sample.
+        descents: most descents from local minima of the sample, lowest first.
+        followed: most descents from the local minima below uniform designs.
         looks: most looks around the ends, which go on as long as they find lower ones.
     """
 
@@ -61,7 +64,8 @@ class Effort:
     rounds: int = 1
     most_designs: int | None = None
     seconds: float | None = None
-    descents: int = 24
+    descents: int = 16
+    followed: int = 0
     looks: int = 4
 
     def more(self, rounds: int, designs: int, began: float) -> bool:
@@ -120,8 +124,9 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
     number = number_of(search)
     if number is not None:
         designs = max(_Extent.fewest, min(designs, number))
+    descents = _Extent.descents + _Extent.descents_each * dimensions
     rounds = _Extent.thorough if isinstance(search, str) and search == "thorough" else 1
-    return Effort(designs, rounds, number, seconds_of(search))
+    return Effort(designs, rounds, number, seconds_of(search), descents, _Extent.descents + dimensions)
 
 
 def number_of(search: Search) -> int | None:

@@ -1,5 +1,6 @@
 """The search over all variables: a sample, descents from its lowest designs, and looks around their ends."""
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from plough_opt.design.search.landscape import (
     Landscape,
     concatenated,
     even_points,
+    only_falls,
     with_variables,
 )
 
@@ -52,6 +54,10 @@ class _Extent:
     radius: Final = 0.05  # of the box around the two best ends
     positions: Final = 128  # along each variable through the two best ends
     least_gain: Final = 1e-6  # fraction of the objective that justifies another look
+    # With up to so many variables a sample is dense: there is no descent from a design from which the objective falls
+    # all the way to a known end, up to a fraction that is rounding and the accuracy of the end.
+    dense: Final = 3
+    rise: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class Explored:
     Attributes:
         sample: the designs of the samples.
         ends: the different ends of descents, best first.
-        followed: number of uniform sample points that lead downhill to an end.
+        followed: number of uniform sample points that were followed downhill to an end.
         reached: number of different ends to which these lead.
     """
 
@@ -143,11 +149,12 @@ class _Search:
         lowest = lowest[np.isfinite(key[lowest])]
         first = len(self._ends)
         guesses = [k for k in range(count, len(key)) if np.isfinite(key[k]) and not first]
-        chosen = list(dict.fromkeys([*lowest[: effort.descents].tolist(), *guesses]))
-        self._descend(sampled.points[chosen], "descents from low designs")
-        end_of = dict(zip(chosen, range(first, len(self._ends)), strict=False))
-        uniform = downhill[: min(count, len(key)) : 1 if n == 1 else 2].tolist()
-        self._followed += [end_of[k] for k in uniform if k in end_of]
+        # Uniform designs show how many basins there are: they are followed in their order.
+        uniform = [k for k in downhill[: min(count, len(key)) : 1 if n == 1 else 2].tolist() if np.isfinite(key[k])]
+        followed = list(dict.fromkeys(uniform))[: effort.followed]
+        chosen = list(dict.fromkeys([*lowest[: effort.descents].tolist(), *guesses, *followed]))
+        end_of = dict(zip(chosen, self._descend(sampled.points[chosen], "descents from low designs"), strict=False))
+        self._followed += [end_of[k] for k in itertools.takewhile(end_of.__contains__, uniform)]
 
     def look_around_ends(self, looks: int, rng: np.random.Generator) -> None:
         """Search around the best ends, and again around a better one: ripples hide it.
@@ -197,12 +204,29 @@ class _Search:
             parts.append(self._landscape(designs[begin : begin + block]))
         return concatenated(parts)
 
-    def _descend(self, starts: Vector, doing: str) -> None:
+    def _descend(self, starts: Vector, doing: str) -> list[int]:
+        """Add the ends of descents from starts, and return the number of the end of each."""
+        numbers = np.full(len(starts), -1)
+        if len(self._variables) <= _Extent.dense and self._landscape.vectorised:
+            for number, end in enumerate(self._ends):
+                self._mark_falling(starts, numbers, number, end.points[0])
         for done, start in enumerate(starts):
+            if numbers[done] >= 0:
+                continue
             if self._ends and self._limit.passed(doing):
-                return
+                return list(map(int, numbers[:done]))
             self._progress(doing, done / len(starts))
+            numbers[done] = len(self._ends)
             self._ends.append(descend(self._landscape, start, (self._low, self._high)))
+            if len(self._variables) <= _Extent.dense and self._landscape.vectorised:
+                self._mark_falling(starts, numbers, len(self._ends) - 1, self._ends[-1].points[0])
+        return list(map(int, numbers))
+
+    def _mark_falling(self, starts: Vector, numbers: NDArray[np.intp], number: int, end: Vector) -> None:
+        """Note an end for those of the starts left from which the objective only falls all the way to it."""
+        left = np.flatnonzero(numbers < 0)
+        if len(left):
+            numbers[left[only_falls(self._landscape, starts[left], end, _Extent.rise)]] = number
 
     def explored(self) -> Explored:
         """Return the result."""

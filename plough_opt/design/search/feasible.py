@@ -97,7 +97,10 @@ def nearest_feasible(landscape: Landscape, guess: Vector) -> Vector:
         every = concatenated(found)
         return every.select(every.feasible)
 
-    nearest = ends([guess, *others[:1]])
+    nearest = ends([guess])
+    found = np.min(np.linalg.norm(nearest.points - guess, axis=1), initial=np.inf)
+    if len(others) and np.linalg.norm(others[0] - guess) < found:
+        nearest = concatenated([nearest, ends(others[:1])])
     if not len(nearest.f):
         nearest = ends(feasible_designs(landscape, guess, sampled).points)
     distance = np.sum((nearest.points - guess) ** 2, axis=1)

@@ -160,6 +160,30 @@ class Landscape:
         return Evaluations(points, f, np.where(np.isnan(f), np.inf, self.violations(g).sum(axis=1)))
 
 
+def only_falls(
+    landscape: Landscape, starts: Vector, end: Vector, rise: float, positions: int = 40
+) -> NDArray[np.bool_]:
+    """Return for each start whether objective plus weighted violation only falls on the straight line to an end.
+
+    The start then lies in that end's basin.
+
+    Args:
+        landscape: the landscape.
+        starts: scaled designs, a row each.
+        end: a scaled design.
+        rise: fraction of its value at the end by which the sum may rise.
+        positions: number of designs on each line, denser towards both ends, where narrow basins would show.
+    """
+    fractions = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, positions))
+    lines = (starts[:, None] + fractions[:, None] * (end - starts)[:, None]).reshape(-1, len(end))
+    # Equal numbers of steps along a line: a change of the number would look like a rise.
+    f, g = landscape.valued(lines, together=positions)
+    with np.errstate(invalid="ignore"):
+        merit = (f + Violation.weight * landscape.violations(g).sum(axis=1)).reshape(-1, positions)
+        risen = np.max(merit - np.minimum.accumulate(merit, axis=1), axis=1)
+        return np.asarray(np.isfinite(merit).all(axis=1) & (risen <= rise * np.abs(merit[:, -1])))
+
+
 def with_variables(y: Vector, variables: Sequence[int], points: Any) -> Vector:
     """Return copies of a scaled design with some variables, by number, at other points, a row each."""
     designs = np.repeat(y[None], len(points), axis=0)

@@ -207,7 +207,7 @@ class Archive:
         """
         if not self.vectorised or len(self.vary) < 2:
             return []
-        effort = replace(self._effort, descents=_DESCENTS, looks=1)
+        effort = replace(self._effort, descents=_DESCENTS, followed=0, looks=1)
         # `basin_minima` begins with the same sample, which is cached.
         ends = explore(FrontLandscape(self, p), self._start, self.vary, effort, seed=self.seed).ends
         return list(ends.points[: effort.rounds])

@@ -40,12 +40,9 @@ def test_a_linear_variable_is_made_within_its_tolerance_too():
     assert best.spread.kept == np.mean(made[:, 1] - made[:, 0] >= 0.1) < 1.0
 
 
-# --- variables that are solved for in closed form ---------------------------------------------------------
-
-
 @pytest.mark.parametrize("log", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_bound_on_a_peak_is_solved_for(log, sign):
+def test_a_bound_on_a_peak_lies_on_it(log, sign):
     d, x, peak = design(x=(0.5, 0.0, 1.0), peak=(90.0, 0.01, 100.0, "", log))
     curves = [3.0 + ca.sin(11.0 * x), 3.0 + ca.cos(7.0 * x)]
     d.minimise(sign * peak)
@@ -55,11 +52,6 @@ def test_a_bound_on_a_peak_is_solved_for(log, sign):
     def by_hand(x):
         return (sign * np.array([3.0 + np.sin(11.0 * x), 3.0 + np.cos(7.0 * x)])).max(axis=0)
 
-    # Every sampled design has the best bound for its x.
-    assert best.search.variables == ("x",)
-    assert best.search.objective == pytest.approx(by_hand(best.search.values[:, 0]), rel=1e-12)
-    assert best.search.violation == pytest.approx(0.0, abs=1e-12)
-    assert best.search.values[:, 1] == pytest.approx(sign * best.search.objective, rel=1e-12)
     least = by_hand(np.linspace(0.0, 1.0, 200_001)).min()
     assert least - 1e-4 <= best.objective <= least + 1e-9
 

@@ -262,14 +262,6 @@ def test_a_valley_that_hardly_falls_is_followed_to_its_end(slope):
     assert found.status == "not unique"
 
 
-def test_an_objective_may_contain_a_lookup_table():
-    table = ca.interpolant("table", "bspline", [np.linspace(0.0, 1.0, 21).tolist()], np.linspace(0.0, 1.0, 21) ** 2)
-    d, x = design(x=(0.9, 0.0, 1.0))
-    d.minimise(1.0 + table(x) - 0.5 * x)
-    # A cubic spline through a parabola is that parabola.
-    assert d.solve().variables["x"] == pytest.approx(0.25, abs=1e-8)
-
-
 def test_a_requirement_added_later_counts():
     d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(x)

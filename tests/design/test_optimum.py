@@ -52,19 +52,6 @@ def test_an_inactive_limit_has_no_multiplier(r1):
     assert height.margin == pytest.approx(min(height.value - 0.10, 0.50 - height.value), abs=1e-12)
 
 
-def test_variables_may_have_the_names_of_columns():
-    d, first, second = design(objective=(0.25, 0.1, 0.5, "m"), optimum=(0.25, 0.1, 0.5))
-    d.minimise(1.0 + (first - 0.2) ** 2 + (second - 0.3) ** 2)
-    best = d.solve(search="near")
-    frame = best.to_dataframe()
-    assert list(frame.columns) == ["optimum", "objective", "variable objective", "variable optimum"]
-    assert frame.loc[0, ["objective", "variable objective", "variable optimum"]].tolist() == pytest.approx(
-        [1, 0.2, 0.3]
-    )
-    assert frame.attrs["units"] == {"variable objective": "m", "variable optimum": ""}
-    assert [one["kind"] for one in best.origin.declarations.values()] == ["variable", "variable", "objective"]
-
-
 # --- parameters ---------------------------------------------------------------------------------------------
 
 
@@ -174,15 +161,6 @@ def test_the_hilltops_of_several_variables_are_all_left():
     d, *x = design(**{f"x{k}": (0.5, 0.0, 1.0) for k in range(4)})
     d.minimise(2.0 - sum((v - 0.5) ** 2 + 0.8 * (v - 0.5) ** 3 for v in x) + 1e-12 * sticking((x[0] - 0.5) ** 2))
     assert d.solve(search="near").objective == pytest.approx(2.0 - 4 * 0.35, rel=1e-7)
-
-
-def test_a_saddle_with_too_little_to_gain_is_an_answer():
-    d, x, y = design(x=(0.5, 0.0, 1.0), y=(0.5, 0.0, 1.0))
-    # The ends of x are lower by 1e-7 only, and there is nothing else to move to.
-    d.minimise(1.0 - 4e-7 * (x - 0.5) ** 2 + (y - 0.5) ** 2)
-    best = d.solve(search="near")
-    assert best.status == "solved"
-    assert best.objective == pytest.approx(1.0, abs=2e-7)
 
 
 # --- a result is a value: nothing that happens later, to its design or to other results, changes a bit of it ---

@@ -16,17 +16,6 @@ from plough_opt.design.model.nlp import Nlp, ipopt_functions
 Vector = NDArray[np.float64]
 _LOG = logging.getLogger(__name__)
 
-REMEDIES = {
-    "Infeasible_Problem_Detected": "no design near the start meets the requirements",
-    "Maximum_Iterations_Exceeded": "the optimiser reached its limit of iterations: start nearer, or tighten the bounds",
-    "Restoration_Failed": "the optimiser could not return to feasible designs: start nearer, or loosen a requirement",
-    "Invalid_Number_Detected": "the model gave no finite number somewhere between the bounds: tighten the bounds",
-    "Diverging_Iterates": "the objective falls without limit: tighten the bounds of the variables that make it fall",
-    "Error_In_Step_Computation": "the derivatives are too large or too small: check units and bounds",
-    "Not_Enough_Degrees_Of_Freedom": "there are more equalities than variables: drop some, or widen them to ranges",
-    "Search_Direction_Becomes_Too_Small": "the objective is not smooth enough here: use more integration steps",
-}
-
 OPTIONS: dict[str, Any] = {
     "print_time": False,
     "error_on_fail": False,

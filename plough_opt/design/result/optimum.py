@@ -19,7 +19,6 @@ from plough_opt.core.units import OBJECTIVE_DIGITS, Display, customary, in_words
 from plough_opt.design.confirmation import Spread
 from plough_opt.design.declarations import values_in_words
 from plough_opt.design.result.sensitivity import NO_PERCENTAGE, Sensitivity, Solved
-from plough_opt.design.search.effort import expected_unseen
 from plough_opt.motion.run import Run, without_repetition
 from plough_opt.motion.simulation import repeat
 
@@ -73,7 +72,8 @@ class Search(ByValue):
     @property
     def unseen_basins(self) -> float | None:
         """Expected number of basins not found; None if too few designs were followed for an estimate."""
-        return expected_unseen(self.followed, self.reached)
+        n, w = self.followed, self.reached
+        return w * (w + 1) / (n - w - 2) if n > w + 2 else None
 
     @property
     def unseen_volume(self) -> float | None:

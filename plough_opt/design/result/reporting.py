@@ -18,13 +18,8 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
 from plough_opt.motion.solvers.checks import remarks as remarks_on_run
 
-
-class _Named:
-    """Which limits and mounts a report names."""
-
-    nearly_met: Final = 0.05  # A limit of a law, unless it decides, if its margin is within this part of its scale.
-    same_mount: Final = 0.02  # Mounts whose frequencies differ by less than this fraction share one name.
-    most_mounts: Final = 4  # Of more mounts only the first.
+# A limit of a law that does not decide is named if its margin is within this part of its scale.
+_NEARLY_MET: Final = 0.05
 
 
 def remarks(sampled: Vector, point: Point, best: LocalOptimum, options: Collection[str]) -> Iterator[str]:
@@ -96,7 +91,7 @@ def requirements_at(program: Program, point: Point, found: Sequence[Vector]) -> 
         margin, multiplier = float(margins[worst]), float(np.sum(own) * program.objective_scale / scale)
         active = decides(margin / scale, float(np.max(own)))
         at = (float(numbers[worst]), r.limits_text(), margin, multiplier, active)
-        trivial = k >= len(program.own_requirements) and not active and margin > _Named.nearly_met * scale
+        trivial = k >= len(program.own_requirements) and not active and margin > _NEARLY_MET * scale
         limits.append(Limit(r.name, "requirement", *at, r.unit, r.shown, r.at_least, r.at_most, trivial))
     return limits
 
@@ -131,32 +126,16 @@ def _names_of(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
 
     Args:
         program: the design's program.
-        scenes: for each optimum, the scenes of its runs.
+        scenes: for each optimum, the scenes of its runs, of which the first under a wave gives the name.
     """
-    mounts = _mounts(program, scenes)
-    names = [
-        "; ".join(
-            f"{f'mount {number + 1}: ' if len(mounts) > 1 else ''}{branch} branch, {ratio:.2f} of the wave's frequency"
-            for number, (branch, ratio) in enumerate(own)
-        )
-        for own in zip(*mounts, strict=True)
-    ]
-    if not names:
+    waves = (k for k, run in enumerate(program.exact.runs) if run.integration.structure.wave)
+    first = next((k for k in waves if all(own[k].branch for own in scenes)), None)
+    if first is None:
         return ["optimum"] if len(scenes) == 1 else [f"optimum {k + 1}" for k in range(len(scenes))]
+    moving = [own[first] for own in scenes]
+    ratios = [float(scene.natural_frequency / scene.wave_frequency) for scene in moving]
+    names = [
+        f"{scene.branch} branch, {ratio:.2f} of the wave's frequency"
+        for scene, ratio in zip(moving, ratios, strict=True)
+    ]
     return [name if names.count(name) == 1 else f"{name} ({names[:k].count(name) + 1})" for k, name in enumerate(names)]
-
-
-def _mounts(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[list[tuple[str, float]]]:
-    """Return branch and frequency ratio in each optimum, for each distinct mount under a strength wave.
-
-    If a design has many samples of the soil, their mounts hardly differ, and the first one represents them.
-    """
-    found: list[list[tuple[str, float]]] = []
-    for k, run in enumerate(program.exact.runs):
-        if not run.integration.structure.wave or not all(own[k].branch for own in scenes):
-            continue
-        ratios = [float(own[k].natural_frequency / own[k].wave_frequency) for own in scenes]
-        mount = [(str(own[k].branch), ratio) for own, ratio in zip(scenes, ratios, strict=True)]
-        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_Named.same_mount) for other in found):
-            found.append(mount)
-    return found if len(found) <= _Named.most_mounts else found[:1]

@@ -176,13 +176,3 @@ def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
             known = nearest(str(name), [*WORDS, *names])
             raise InputError(f"search = {shown(name)} is not a variable of this design: {known}")
     return tuple(names.index(name) for name in dict.fromkeys(wanted))
-
-
-def expected_unseen(followed: int, reached: int) -> float | None:
-    """Return the expected number of basins not found, by the rule in `Search`; None if too few designs were followed.
-
-    Args:
-        followed: number of random designs that were followed to their basins.
-        reached: number of basins to which they led.
-    """
-    return reached * (reached + 1) / (followed - reached - 2) if followed > reached + 2 else None

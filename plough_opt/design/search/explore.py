@@ -174,8 +174,8 @@ class _Search:
             lowest = lowest[np.isfinite(tried.key[lowest])]
             far = np.max(np.abs(best.points - tried.points[lowest, None]), axis=2).min(axis=1) > SAME
             self._descend(tried.points[lowest[far][: _Extent.descents]], "further descents")
-            lower = min(end.key[0] for end in self._ends) < best.key[0] - _Extent.least_gain * abs(best.key[0])
-            if not lower:
+            size = abs(best.f[0]) if best.feasible[0] else best.violation[0]
+            if not min(end.key[0] for end in self._ends) < best.key[0] - _Extent.least_gain * size:
                 return
 
     def _around(self, ends: Vector, rng: np.random.Generator) -> Vector:

@@ -24,6 +24,7 @@ class _LeastViolation:
     holds: Final = 1e-6  # A limit with a smaller scaled multiplier does not hold the design back.
     # IPOPT keeps a variable away from a bound by 1e-11 over its multiplier.
     near_bound: Final = 1e-5
+    looks: Final = 16  # around the best ends; the last per mille may take many
     most_feasible: Final = 8  # designs from which to descend to the best one
     most_polished: Final = 3  # designs that go on to IPOPT
     excess: Final = 1e-3  # fraction of the least violation by which theirs may exceed it
@@ -57,6 +58,7 @@ def feasible_designs(
     """
     limit, every = limit or TimeLimit("near"), range(len(start))
     effort = effort_of("auto", len(start), landscape.program.population.runs, landscape.vectorised)
+    effort = replace(effort, looks=_LeastViolation.looks)
     first = known.distinct(SAME, _LeastViolation.most_feasible).points
     bare = landscape.without_objective()
     ends = explore(bare, start, every, effort, seed=seed, known=first, progress=progress, limit=limit).ends

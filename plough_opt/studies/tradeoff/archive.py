@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import NotConverged
 from plough_opt.core.plain_data import Array
 from plough_opt.design.confirmation import NEEDLE, boxes, minimum_from
-from plough_opt.design.model.ipopt import REMEDIES, Point
+from plough_opt.design.model.ipopt import Point
 from plough_opt.design.search.descent import descend
 from plough_opt.design.search.effort import Search, effort_of, searched
 from plough_opt.design.search.explore import Progress, explore
@@ -36,6 +36,17 @@ from plough_opt.studies.tradeoff.front import (
     undominated,
 )
 from plough_opt.studies.tradeoff.program import FrontProgram
+
+_REMEDIES = {
+    "Infeasible_Problem_Detected": "no design near the start meets the requirements",
+    "Maximum_Iterations_Exceeded": "the optimiser reached its limit of iterations: start nearer, or tighten the bounds",
+    "Restoration_Failed": "the optimiser could not return to feasible designs: start nearer, or loosen a requirement",
+    "Invalid_Number_Detected": "the model gave no finite number somewhere between the bounds: tighten the bounds",
+    "Diverging_Iterates": "the objective falls without limit: tighten the bounds of the variables that make it fall",
+    "Error_In_Step_Computation": "the derivatives are too large or too small: check units and bounds",
+    "Not_Enough_Degrees_Of_Freedom": "there are more equalities than variables: drop some, or widen them to ranges",
+    "Search_Direction_Becomes_Too_Small": "the objective is not smooth enough here: use more integration steps",
+}
 
 # Least factor on the number of steps of a search. A share that oscillates fast on a stiff mount has errors of a few
 # parts in a thousand with the steps of a search, which is much along a front; twice as many leave 1e-5.
@@ -419,7 +430,7 @@ class Tracer(ABC):
         point = self.front.solve(near.point, start, p)
         if point.solved:
             return self.candidate_of(p, point)
-        reason = REMEDIES.get(point.status, "the optimiser stopped without an optimum")
+        reason = _REMEDIES.get(point.status, "the optimiser stopped without an optimum")
         failure = MissingPoint(tuple(near.objectives.tolist()), f"{point.status}: {reason}")
         if report and failure not in self.failures:
             self.failures.append(failure)

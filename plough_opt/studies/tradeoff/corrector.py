@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.model.optimality import made_convex, optimum_step, residual, symmetric, without_rounding
+from plough_opt.design.model.optimality import Zero, made_convex, optimum_step, symmetric
 from plough_opt.design.model.program import Program, cached
 
 
@@ -177,3 +177,30 @@ def _updated(curvature: Vector, step: Vector, change: Vector) -> Vector:
         change = share * change + (1.0 - share) * along
         measured = float(step @ change)
     return np.asarray(curvature - np.outer(along, along) / expected + np.outer(change, change) / measured)
+
+
+def without_rounding(y: Vector, lam_y: Vector) -> Vector:
+    """Return the multipliers of bounds, set to 0 for variables that lie on neither bound."""
+    return np.where((y > Zero.distance) & (y < 1.0 - Zero.distance), 0.0, lam_y)
+
+
+def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vector, Vector]) -> float:
+    """Return how far a point is from the first-order conditions.
+
+    The result is the larger of the Lagrangian's slope and of any multiplier times its margin, both relative to the
+    largest multiplier if that exceeds 1, plus the largest violation of a limit.
+
+    Args:
+        point: the point.
+        at: requirements, gradient and Jacobian there, scaled.
+        limits: lower and upper limits of the requirements, scaled.
+    """
+    (g, gradient, jacobian), (low, high) = at, limits
+    values, multipliers = np.concatenate([g, point.y]), np.concatenate([point.lam_g, point.lam_y])
+    low, high = np.concatenate([low, np.zeros(len(point.y))]), np.concatenate([high, np.ones(len(point.y))])
+    slope = gradient + jacobian.T @ point.lam_g + point.lam_y
+    violation = np.max(np.maximum(low - values, values - high), initial=0.0)
+    margins = np.where(multipliers > 0.0, high - values, values - low)
+    # A limit at infinity must have a multiplier of 0: a margin of 1 counts any other in full.
+    products = np.max(np.abs(multipliers) * np.where(np.isfinite(margins), np.abs(margins), 1.0))
+    return float(max(np.max(np.abs(slope)), products) / max(1.0, np.max(np.abs(multipliers))) + violation)

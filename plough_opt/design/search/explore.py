@@ -51,7 +51,8 @@ class _Extent:
     ends: Final = 24  # best ones around which a look searches
     descents: Final = 8  # of a look
     moves: Final = 256  # designs of each kind that a look tries
-    radius: Final = 0.05  # of the box around the two best ends
+    radius: Final = 0.05  # of the largest box around the two best ends; others are smaller by up to some decades
+    decades: Final = 2.0
     positions: Final = 128  # along each variable through the two best ends
     least_gain: Final = 1e-6  # fraction of the objective that justifies another look
     # With up to so many variables a sample is dense: there is no descent from a design from which the objective falls
@@ -172,8 +173,9 @@ class _Search:
             tried = self._landscape(np.clip(self._around(best.points, rng), self._low, self._high))
             lowest, _ = local_minima(tried.points[:, self._variables], tried.key)
             lowest = lowest[np.isfinite(tried.key[lowest])]
-            far = np.max(np.abs(best.points - tried.points[lowest, None]), axis=2).min(axis=1) > SAME
-            self._descend(tried.points[lowest[far][: _Extent.descents]], "further descents")
+            new = np.max(np.abs(best.points - tried.points[lowest, None]), axis=2).min(axis=1) > SAME
+            new |= tried.key[lowest] < best.key[0]
+            self._descend(tried.points[lowest[new][: _Extent.descents]], "further descents")
             size = abs(best.f[0]) if best.feasible[0] else best.violation[0]
             if not min(end.key[0] for end in self._ends) < best.key[0] - _Extent.least_gain * size:
                 return
@@ -191,7 +193,8 @@ class _Search:
         whole = ends[0] + (ends[:, None] - ends).reshape(-1, ends.shape[1])
         whole = whole[rng.permutation(len(whole))[:count]]
         box = ends[rng.integers(min(2, len(ends)), size=count)]
-        box[:, some] += _Extent.radius * rng.uniform(-1.0, 1.0, (count, n))
+        radii = _Extent.radius * 10.0 ** rng.uniform(-_Extent.decades, 0.0, (count, 1))
+        box[:, some] += radii * rng.uniform(-1.0, 1.0, (count, n))
         return np.vstack([lines.reshape(-1, ends.shape[1]), moved, whole, box])
 
     def _evaluated(self, designs: Vector) -> Evaluations:

@@ -89,7 +89,9 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
     located = equation_of(replace(structure, locates_ramp=structure.ramp and accuracy.locates_events))
     sized = _by_casadi(located, accuracy, timeline)
     p, _ = located.symbols(ca.MX)
-    results = sized.call([p, located.sizes(p)])
+    states, *averages = sized.call([p, located.sizes(p)])
+    # Whether the ramp is over is a state of its own, which a run does not have.
+    results = [states[: equation.states, :], *averages]
     function = ca.Function(f"run_{accuracy.method}", [p], results, {"never_inline": True})
     return Integration(equation, accuracy, timeline, function, sized)
 

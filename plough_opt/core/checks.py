@@ -27,11 +27,11 @@ from plough_opt.core.errors import shown as shown
 from plough_opt.core.expressions import (
     Expression,
     as_number,
-    classes_in,
     holds_casadi,
     holds_several,
     is_casadi,
     is_symbolic,
+    key_of,
     map_expressions,
     template_of,
 )
@@ -583,15 +583,7 @@ def checked_in_designs(
         several = not isinstance(carried, ca.MX) or carried.numel() != len(quantities)
         if several or not any(map(is_symbolic, quantities)):
             return result
-        # Different functions among the arguments, such as density profiles, can have the same repr.
-        functions: list[int] = []
-
-        def note(function: object) -> object:
-            functions.append(id(function))
-            return function
-
-        map_expressions(template, note, callable)
-        key = law.__module__, law.__qualname__, repr(template), classes_in(template), tuple(functions)
+        key = law.__module__, law.__qualname__, key_of(template)
         meaning = Call(check or law, template, limited)
         checked: _Result = map_expressions(result, lambda value: attach(value, carried, meaning, key))
         return checked

@@ -125,9 +125,14 @@ def holds_several(value: Any) -> bool:
     return any(isinstance(item, _MATRICES) and math.prod(item.shape) != 1 for item in _nested(value))
 
 
-def classes_in(value: Any) -> tuple[type, ...]:
-    """Return the classes of all dataclasses nested in a value; two different classes can have the same repr."""
-    return tuple(type(item) for item in _nested(value) if dataclasses.is_dataclass(type(item)))
+def key_of(template: Any) -> tuple[str, tuple[Any, ...]]:
+    """Return what tells a template, as `template_of` returns it, from those that differ in more than numbers.
+
+    Different classes, and different functions, such as density profiles, can have the same repr.
+    """
+    parts = [*_nested(template)]
+    classes = tuple(type(part) for part in parts if dataclasses.is_dataclass(type(part)))
+    return repr(template), (*classes, *(id(part) for part in parts if callable(part)))
 
 
 def _nested(value: Any) -> Iterator[Any]:

@@ -22,11 +22,11 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import (
     Column,
     Expression,
-    classes_in,
     column,
     dot,
     is_casadi,
     is_symbolic,
+    key_of,
     rms,
     stacked,
     template_of,
@@ -240,14 +240,9 @@ def embedding_of(function: ca.Function) -> Embedding | None:
 
 
 def _carried(scene: Scene) -> tuple[Scene, Column, Hashable]:
-    """Return a scene's template, a column of its quantities, and a key of the template.
-
-    The key is its repr, the classes in it, and the function of its density profile.
-    """
+    """Return a scene's template, a column of its quantities, and a key of the template."""
     template, quantities = template_of(scene)
-    profile = template.soil.density_profile
-    key = repr(template), classes_in(template), None if profile is None else id(profile.density)
-    return template, stacked(*quantities), key
+    return template, stacked(*quantities), key_of(template)
 
 
 def _build(solver: Integration, count: int) -> ca.Function:

@@ -359,8 +359,3 @@ def test_invalid_calls_are_refused(two_inputs, values, named, words):
     with pytest.raises((po.InputError, po.DomainError), match=words):
         two_inputs(*values, **named)
     assert np.isfinite([two_inputs(bound, 0.25) for bound in (4e4 - 1.8e-5, 6e4 + 1.8e-5)]).all()
-
-
-def test_a_retreating_share_gives_a_warning(r1_scene):
-    made = po.component(r1_scene(start="rest"), 0.5, outputs=["mean_draft"], **_stiffness(2e3, 1e5))
-    assert any("the share retreats, as at scene.stiffness" in note for note in made.warnings)

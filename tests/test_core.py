@@ -72,14 +72,6 @@ def test_ratio_and_its_two_derivatives_keep_their_digits(ratio, at, symbol):
     assert_close(curvature, want_curvature, 1e-13, "second derivative")
 
 
-@pytest.mark.parametrize("ratio", PRECISE)
-@pytest.mark.parametrize("at", [0.0, 5e-324, -1e-300])
-def test_ratio_has_its_limits_at_zero(ratio, at):
-    got = [float(v) for v in with_derivatives(ratio, ca.SX)(at)]
-    # Two units in the last place; a slope follows x.
-    assert got == pytest.approx(PRECISE[ratio][1], rel=4e-16, abs=1e-299)
-
-
 @pytest.mark.parametrize("ratio", [ex.expm1_ratio, ex.log1p_ratio, ex.arctan_ratio, ex.arcsinh_ratio])
 def test_ratios_of_arrays_are_elementwise(ratio):
     x = np.array([[-0.9, -0.5, -1e-9], [0.0, 0.5, 3.0]])
@@ -115,34 +107,6 @@ def test_choice_and_minimum_take_numbers_arrays_and_symbols(symbol):
         assert chosen(value) == wanted
         assert tuple(map(float, ca.Function("f", [x], [*chosen(x)])(value))) == wanted
     assert [[*found] for found in chosen(np.array([1.5, 2.5]))] == [[1.5, -1.0], [1.5, 2.0], [1.5, 2.0]]
-
-
-def test_symbols_are_distinguished_from_numbers():
-    symbols = [2.0 * ca.MX.sym("x"), ca.vertcat(ca.SX.sym("x"), 1.0)]
-    for value in (1.0, np.ones(2), ca.DM(1.0), ca.MX(1.0), *symbols):
-        casadi = not isinstance(value, float | np.ndarray)
-        assert ex.is_casadi(value) is ex.holds_casadi([{"nested": (value,)}]) is casadi
-        assert ex.is_symbolic(value) is any(value is symbol for symbol in symbols)
-
-
-@pytest.mark.parametrize("value", [1.5, np.float64(1.5), ca.DM(1.5), ca.SX(1.5), ca.MX(1.5), [1.5], np.array([[1.5]])])
-def test_numbers_of_every_type_are_read(value):
-    assert ex.as_number(value).shape == ()
-    assert float(ex.as_number(value)) == 1.5
-
-
-def test_a_symbol_has_no_value():
-    for symbol in (ca.SX, ca.MX):
-        with pytest.raises(po.InputError, match=r"speed.*no value"):
-            ex.as_number(2.0 * symbol.sym("speed"))
-
-
-def test_a_column_can_be_combined_with_symbols():
-    values = np.array([1.0, 2.0])
-    assert ex.column(values, symbolic=False) is values
-    x = ca.SX.sym("x")
-    product = ca.Function("f", [x], [x * ex.column(values, symbolic=True)])(3.0)
-    assert product.full().tolist() == [[3.0], [6.0]]
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 16, 64])
@@ -239,10 +203,3 @@ def test_numbers_become_their_range_in_any_order(texts, wanted):
         # Merged notes can be merged again, as by several processes of a sweep.
         assert kinds == {merge(notes, wanted)}
         assert list(notes.values()) == [wanted]
-
-
-def test_names_with_numbers_are_different_notes():
-    notes = {}
-    for text in ("'tine 1' rests", "'tine 2' rests", "x1 rests 3 times", "x2 rests 3 times", "2 rest"):
-        merge(notes, text)
-    assert len(notes) == 5

@@ -2,12 +2,10 @@
 
 import csv
 import io
-import itertools
 import json
 import os
 import random
 import re
-import stat
 import subprocess
 import sys
 import unicodedata
@@ -16,12 +14,10 @@ import pytest
 from helpers.commands import call
 from helpers.every_result import EVERY
 from helpers.problem_files import SUBSOILER
-from rich.console import Console
 
 import plough_opt as po
 from plough_opt.app.terminal import print_page
-from plough_opt.core.files import write_file, write_files, write_folder, write_new
-from plough_opt.core.process import Sieve
+from plough_opt.core.files import write_file, write_files, write_folder
 from plough_opt.core.screen import Screen, progress_on
 from plough_opt.core.tables import Grid, Page, read_rows, write_rows
 
@@ -69,20 +65,6 @@ def test_links_are_followed_and_stay(tmp_path):
     assert _kept(tmp_path / "far") == {"a": "twice", "b": "to nothing"}
 
 
-def test_permissions_are_preserved_and_new_files_have_the_usual_ones(tmp_path):
-    before = os.umask(0o027)
-    try:
-        write_file(tmp_path / "a", "table", "one")
-        assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o640
-        (tmp_path / "a").chmod(0o604)
-        write_file(tmp_path / "a", "table", "two")
-        assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == 0o604
-        write_folder(tmp_path / "made", "folder", {"x": "one"})
-        assert stat.S_IMODE((tmp_path / "made").stat().st_mode) == 0o750
-    finally:
-        os.umask(before)
-
-
 def test_paths_that_cannot_be_written_are_refused(tmp_path, monkeypatch):
     # What the system tells users other than root of a file without the permission to write.
     monkeypatch.setattr(os, "access", lambda path, mode: not (path.name == "a" and mode == os.W_OK))
@@ -104,15 +86,6 @@ def test_of_several_none_is_moved_before_all_are_written(tmp_path):
     assert _kept(tmp_path) == {"a": "before"}
 
 
-def test_a_new_file_replaces_nothing(tmp_path):
-    (tmp_path / "link").symlink_to("nothing")
-    write_new(tmp_path / "a", "problem file", "one")
-    for name in ("a", "link"):
-        with pytest.raises(po.InputError, match="exists already and is left as it is"):
-            write_new(tmp_path / name, "problem file", "two")
-    assert (tmp_path / "a").read_text() == "one"
-
-
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
     def fail(file):
         file.write(b"half of")
@@ -124,30 +97,6 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
 
 
 # --- a process: the processors it may use, and CasADi's notices, which a stream of the commands drops ---
-
-
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system has no processor affinity")
-def test_the_affinity_of_the_process_counts():
-    code = (
-        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
-        "from plough_opt.core.process import available; print(available())"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["1"]
-
-
-NOTICE = 'CasADi - 2026-01-01 00:00:00 WARNING("Event support is experimental") [.../core/integrator.cpp:755]\n'
-ANOTHER = 'CasADi - 2026-01-01 00:00:00 WARNING("Something else") [.../core/function.cpp:1]\n'
-
-
-@pytest.mark.parametrize("cuts", [(), (9, 40, 60)])
-def test_the_notice_is_dropped_even_in_pieces_and_other_output_passes(cuts):
-    stream = io.StringIO()
-    sieve = Sieve(stream)
-    pieces = [NOTICE[i:j] for i, j in itertools.pairwise([0, *cuts, len(NOTICE)])]
-    for piece in ("before\n", *pieces, ANOTHER[:20], ANOTHER[20:], "no end of a line"):
-        assert sieve.write(piece) == len(piece)
-    assert stream.getvalue() == f"before\n{ANOTHER}no end of a line"
 
 
 @pytest.mark.parametrize("what", ["po.simulate(scene(5e4), 0.5)", "design.solve(search='near')"])
@@ -166,13 +115,6 @@ design.minimise(po.simulate(scene(stiffness), 0.3).force_rms / 1e3)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
     assert done.stderr == ""
-
-
-def test_progress_on_a_terminal_is_a_bar():
-    terminal = Console(file=io.StringIO(), force_terminal=True, color_system=None)
-    with progress_on(terminal) as show:
-        show("half of it", 0.5)
-    assert f"half of it {12 * '━'} " in terminal.file.getvalue()  # of 24
 
 
 # --- texts from strangers reach terminals, pages and spreadsheets as text: saved results, problem files, CSV files ---
@@ -313,33 +255,3 @@ def test_any_text_of_a_table_is_read_back(tmp_path):
             assert [[cell.lstrip("'") for cell in row] for row in csv.reader(file)] == [
                 [cell.lstrip("'") for cell in row] for row in rows
             ]
-
-
-def test_rows_have_the_number_of_their_first_line_and_a_quotation_mark_is_closed(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text('# "open\na,b\n"1\n#2",3\n\n# c\n4,5" x\n', encoding="utf-8")
-    assert read_rows(path, "texts") == [(2, ["a", "b"]), (3, ["1\n#2", "3"]), (7, ["4", '5" x'])]
-    path.write_text('a,b\n1,"2\n' + "3,4\n" * 40_000, encoding="utf-8")
-    with pytest.raises(po.InputError, match="line 2: a quotation mark"):
-        read_rows(path, "texts")
-
-
-def formula_of(values):
-    raise ValueError(f"=HYPERLINK({values['a']})")
-
-
-def test_names_and_reasons_of_a_sweep_are_no_formulas(inline):
-    with pytest.raises(po.InputError, match="'@a' cannot name a column"):
-        po.sweep(formula_of, {"@a": [-1.0, 2.0]}, executor=inline)
-    reasons = po.sweep(formula_of, {"a": [-1.0, 2.0]}, executor=inline).failures
-    assert reasons == {k: f"ValueError: =HYPERLINK({value})" for k, value in enumerate((-1.0, 2.0))}
-
-
-def test_a_dollar_sign_in_a_picture_is_one(tmp_path):
-    data = json.loads(EVERY["Run"]().to_json())
-    data["origin"]["title"], data["scene"]["soil"]["name"] = "$\\frac$", "5 $ or $ 6"
-    (tmp_path / "a.json").write_text(json.dumps(data), encoding="utf-8")
-    run = po.load(tmp_path / "a.json")
-    assert run.plot(tmp_path / "a.svg").get_suptitle().startswith("$\\frac$")
-    assert "<img" in run._repr_html_()
-    assert call("show", tmp_path / "a.json", tmp_path / "a.json", "--plot", tmp_path / "b.png").status == 0

@@ -75,17 +75,6 @@ def test_a_file_imports_and_calls_nothing(tmp_path):
                 po.load(path)
 
 
-@pytest.mark.parametrize("value", ["x", None, [], {}, {"class": "Wedge"}, {"not saved": 1}, {"not saved": None}])
-@pytest.mark.parametrize("field", ["share", "soil", "medium"])
-def test_parts_of_a_scene_have_their_types(tmp_path, field, value):
-    data = json.loads(run_of().to_json())
-    data["scene"][field] = value
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps(data), encoding="utf-8")
-    with pytest.raises(po.InputError, match=r"is not a result of this version"):
-        po.load(path)
-
-
 def test_toolkits_own_effects_and_laws_are_read_again(tmp_path):
     steep = po.Wedge(po.deg(30), po.deg(55), 0.25)
     scene = scene_of(share=steep, medium=po.laws.LAWS["mckyes_ali"](), motion=False)
@@ -133,17 +122,3 @@ def test_problem_and_data_are_saved_byte_for_byte(tmp_path, mark, end):
     assert not {"\r", "\ufeff"} & {*shown}
     for name in ("field.toml", "insertions.csv", "transect.csv"):
         assert (PROBLEMS / name).read_text(encoding="utf-8").rstrip() in shown
-
-
-def test_two_data_files_of_one_name_are_both_kept(tmp_path):
-    texts = [f"scene.tow_speed [m/s],mean_draft [kN],sigma [kN]\n{rows}" for rows in
-             ("1,3.1,0.1\n2,4.0,0.1\n", "1.5,3.4,0.1\n2.5,4.7,0.1\n", "3,5.5,0.1\n")]  # fmt: skip
-    paths = [tmp_path / folder / "draft.csv" for folder in ("monday", "tuesday", "wednesday")]
-    for path, text in zip(paths, texts, strict=True):
-        path.parent.mkdir()
-        path.write_text(text, encoding="utf-8")
-    data = [word for path in paths for word in ("--data", path)]
-    unknown = ("--unknown", "soil.cohesion=1..80 kPa", "--set", "effects={motion=false}")
-    printed("calibrate", PROBLEMS / "reference.toml", *data, *unknown, "--output", tmp_path / "fit.json")
-    origin = po.load(tmp_path / "fit.json").origin
-    assert [*origin.data.values()] == texts

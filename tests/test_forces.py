@@ -62,13 +62,6 @@ def test_ambient_share_is_the_part_of_the_pressure(r1_scene, name, pressure, adv
     assert ("set soil.ambient_pressure" in warning) == advised
 
 
-def test_without_ambient_pressure_there_is_no_share_and_no_warning(r1_scene, r1_soil):
-    soils = [replace(r1_soil, ambient_pressure=0.0, cohesion=cohesion) for cohesion in (15e3, 0.0)]
-    for scene in (r1_scene(ambient_pressure=False), *(r1_scene(soil=soil) for soil in soils)):
-        assert scene.ambient_share == 0.0
-        assert scene.warnings() == ()
-
-
 @pytest.mark.parametrize(("half_angle", "warned"), [(15.0, False), (19.99, False), (20.01, True), (35.0, True)])
 def test_a_blunt_share_carries_a_warning(r1_scene, half_angle, warned):
     scene = replace(r1_scene(ambient_pressure=False), share=po.Cone(po.deg(half_angle), 0.25))
@@ -122,11 +115,6 @@ def test_scene_carries_no_part_of_the_plastic_gas():
 
 
 # --- soils, and the domain of each property of a soil and a share ---
-
-
-def test_an_unknown_name_gets_the_nearest_suggested():
-    with pytest.raises(po.InputError, match="did you mean 'firm sandy loam' or 'loose sandy loam'"):
-        po.named_soil("sandy loam")
 
 
 LOAM, WEDGE, CONE = po.named_soil("firm sandy loam"), po.Wedge(0.5, 0.2, 0.3), po.Cone(0.2, 0.3)
@@ -209,12 +197,6 @@ def test_volume_and_mass_of_a_cone(angle):
     assert_close(cone.slope, tan, 1e-15)
     assert_close(cone.volume, volume, 1e-15)
     assert_close(cone.solid_mass(7850.0), 7850 * volume, 1e-15)
-
-
-def test_degrees():
-    assert po.deg(90.0) == math.pi / 2
-    x = ca.SX.sym("x")
-    assert float(ca.Function("f", [x], [po.deg(x)])(45.0)) == pytest.approx(math.pi / 4, rel=3e-16)
 
 
 # --- resistance against independent values and 120 digits ---
@@ -377,22 +359,6 @@ test_readings_that_cannot_be_met_are_refused = refusals(
     (lambda: po.Soil.from_cone_index(1e6, "serozem"), "must be the Soil"),
     (lambda: po.Soil.from_cone_index(1e6, SEROZEM.with_density_profile(abs)), "a density profile cannot be adjusted"),
 )
-
-
-def test_a_soil_without_strength_gets_cohesion():
-    soil = po.Soil.from_cone_index(1e6, soil=STRENGTHLESS, adjust="cohesion")
-    assert po.cone_index(soil) == pytest.approx(1e6, rel=1e-14)
-
-
-def test_properties_outside_the_range_of_soils_cause_warnings():
-    serozem = po.named_soil("serozem")
-    warned = {a: " ".join(po.Soil.from_cone_index(1.5e6, soil=serozem, adjust=a).warnings()) for a in ADJUSTS}
-    expected = {"strength factor": "static resistance by 5.737", "cohesion": "370 kPa", "density ratio": "11.5 times"}
-    assert all(words in warned[adjust] for adjust, words in expected.items())
-    assert "0.992465" in warned["density ratio"]
-    assert serozem.warnings() == ()
-    scene = scene_of(po.Soil.from_cone_index(1.5e6, soil=serozem), motion=False)
-    assert any("strength factor" in text for text in po.simulate(scene, 1.0).warnings)
 
 
 # --- density ratio from a compression test ---

@@ -67,19 +67,6 @@ def test_a_law_outside_its_domain_gives_a_reason_and_no_draft():
     assert "give rake_angle" in cone["Swick-Perumpral"]["standing"]
 
 
-def test_switching_ambient_pressure_off_affects_the_laws_too():
-    bare = dataclasses.replace(SOIL, ambient_pressure=0.0)
-    expected = draft_of(SphericalCavity(), bare)
-    assert drafts(ambient_pressure=False)["the spherical cavity (Forrestal-Luk)"] == expected
-
-
-def test_a_strength_factor_affects_the_plastic_gas_only():
-    level = po.Soil.from_cone_index(2e6, soil=po.named_soil("firm sandy loam"))
-    factored, plain = drafts(level), drafts(po.named_soil("firm sandy loam"))
-    assert factored.pop("the plastic gas") > 5.0 * plain.pop("the plastic gas")
-    assert factored == plain
-
-
 def test_the_command_prints_every_law_with_its_standing():
     page = printed("check", PROBLEMS / "cotton_subsoiler.toml")
     for law in LAWS.values():

@@ -6,7 +6,6 @@ import doctest
 import importlib
 import importlib.util
 import inspect
-import json
 import math
 import os
 import pkgutil
@@ -184,19 +183,6 @@ def test_its_code_runs(name, whole, tmp_path, monkeypatch, capsys):
     assert [words for words in page.prints if words not in printed] == []
     assert [file for file in page.writes if (tmp_path / file).stat().st_size < 500] == []
     assert page.holds(names)
-
-
-@pytest.mark.parametrize("name", TEXTS)
-def test_formulas_survive_markdown(name):
-    """A display formula is a fenced block; in a line a backslash before punctuation needs the backquoted form."""
-    prose = re.sub(r"```.*?```", "", TEXTS[name], flags=re.DOTALL)
-    assert "$$" not in prose
-    for formula in re.findall(r"\$([^$\n]+)\$", re.sub(r"\$`[^`\n]+`\$", "", prose)):
-        assert not re.search(r"\\[^A-Za-z]|\*", formula), formula
-        assert formula.count("{") == formula.count("}"), formula
-    for formula in re.findall(r"```math\n(.*?)```", TEXTS[name], flags=re.DOTALL):
-        assert formula.count(r"\left") == formula.count(r"\right")
-        assert formula.count("{") == formula.count("}")
 
 
 # --- theory.md: every equation has its function and its test ---
@@ -552,27 +538,6 @@ def test_integrator(workshop, capsys):
     refused("simulate tine.toml --set accuracy.method=three_eights", "did you mean 'three_eighths'")
 
 
-@pytest.mark.slow
-def test_integrator_takes_part_in_the_accuracy_study(workshop, capsys):
-    workshop("An integrator")
-    (said,) = use("An integrator", capsys, long=True)
-    assert "three_eighths" in said
-    assert "three_eighths" in json.dumps(json.loads(Path("accuracy.json").read_text(encoding="utf-8")))
-
-
-def test_good_first_additions_are_missing():
-    named = re.findall(r"^\| `(\w+)` \|", TEXT.partition("## Good first additions")[2], re.MULTILINE)
-    assert len(named) == 3
-    assert not {*named} & {name for registry in REGISTRIES for name in registry}
-
-
-def test_addition_that_cannot_be_imported_is_named(workshop, tmp_path):
-    name = workshop("An integrator")
-    (tmp_path / f"{name}.py").write_text("import no_such_module\n", encoding="utf-8")
-    told = f"the addition '{name}' = {name} of mine cannot be imported (ModuleNotFoundError"
-    refused("soils", told)
-
-
 # --- examples in docstrings: every public name has one, and all give the results shown ---
 
 
@@ -606,10 +571,6 @@ def within(name, thing):
         ours = str(getattr(inspect.unwrap(inner), "__module__", "")).startswith("plough_opt") if kind else False
         if ours and not key.startswith("_") and key not in HOOKS:
             yield from within(f"{name}.{key}", inner)
-
-
-def is_error(thing):
-    return inspect.isclass(thing) and issubclass(thing, Exception)
 
 
 @pytest.mark.parametrize("name", po.__all__)
@@ -677,10 +638,6 @@ def printed_by(cell):
     if TIMES.search(text):
         return ["times"], []
     return sorted(NUMBER.sub("", text).split()), sorted(map(float, NUMBER.findall(text)))
-
-
-def test_no_notebook_is_stored_with_notices_of_libraries():
-    assert [path.name for path in NOTEBOOKS if "xperimental" in path.read_text(encoding="utf-8")] == []
 
 
 def test_the_quickest_notebook_runs_without_a_kernel(monkeypatch, capsys):

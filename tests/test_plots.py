@@ -2,19 +2,15 @@
 
 import dataclasses
 import io
-import itertools
 
 import matplotlib.pyplot
 import numpy as np
 import pytest
 from helpers.scenes import SHARP, scene_of
 from helpers.small_designs import design
-from matplotlib.figure import Figure
-from matplotlib.transforms import Bbox
 
 import plough_opt as po
 from plough_opt.app import plots
-from plough_opt.app.panels import deflection_of, draw_panel
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.design import Limit
@@ -81,35 +77,6 @@ def test_a_run_is_drawn_with_the_units_and_the_title_of_its_problem_file(run):
     assert figure.axes[2].get_ylabel() == "speed [km/h]"
 
 
-def test_legends_hide_no_line(run):
-    figure = plots.plot_run(run)
-    figure.savefig(io.BytesIO(), format="png")
-    for axes in figure.axes:
-        box = axes.get_legend().get_window_extent()
-        for drawn in axes.get_lines():
-            assert not any(box.contains(*point) for point in axes.transData.transform(drawn.get_xydata()))
-
-
-def test_constant_panels_are_omitted(scene):
-    still = dataclasses.replace(scene, effects=dataclasses.replace(scene.effects, motion=False))
-    force, deflection = plots.plot_run(po.simulate(still, 0.5, outputs=40)).axes
-    assert (force.get_ylabel(), deflection.get_ylabel()) == ("force [kN]", "deflection [m]")
-
-
-def test_a_constant_is_drawn_without_its_rounding_and_times_of_rest_are_shaded():
-    steady = po.simulate(scene_of(motion=False, inertial_drag=False, tow_ramp=0.1), 0.2, outputs=20)
-    axes = Figure().subplots()
-    draw_panel(axes, steady, deflection_of(steady))  # as an animation does
-    assert legend(axes) == ["deflection", f"mean {steady.mean_deflection:.3g} m"]
-    assert axes.get_ylim()[0] < 0.96 * steady.mean_deflection
-    slight = po.simulate(scene_of(strength_wave=po.StrengthWave(1e-3, 0.2)), 0.2, outputs=20)
-    assert plots.plot_run(slight).axes[1].get_ylim()[0] < 0.96 * slight.mean_deflection
-    stuck = po.simulate(scene_of(contact=po.StickSlip(), start="rest"), 0.2, outputs=200)
-    axes = plots.plot_run(stuck).axes[0]
-    assert legend(axes)[-1] == "sticks"
-    assert axes.collections[0].get_paths()[0].get_extents().x1 == stuck.time[np.argmax(stuck.speed > 0.0) - 1]
-
-
 def test_a_share_is_drawn_with_its_area_and_the_cone_at_the_same_scale(scene):
     wedge, cone = plots.plot_share(scene).axes
     assert wedge.get_aspect() == cone.get_aspect() == 1.0
@@ -121,15 +88,6 @@ def test_a_share_is_drawn_with_its_area_and_the_cone_at_the_same_scale(scene):
     (x0, y0), (x1, y1), (x2, y2) = corners[0][:3]
     assert len(corners) == 2  # each with half of the area
     assert abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)) == pytest.approx(scene.share.area, rel=1e-12)
-
-
-def test_a_share_given_as_a_cone_has_no_faces_to_show(scene):
-    left, right = plots.plot_share(dataclasses.replace(scene, share=po.Cone(po.deg(10), 0.25))).axes
-    assert "given as a cone" in words(left)
-    assert not left.axison
-    assert "β = 10.0°" in words(right)
-    assert f"{scene.stiffness / 1e3:.4g} kN/m" in right.get_xlabel()
-    assert "r*" not in words(plots.plot_share(dataclasses.replace(scene, medium="mckyes_ali")).axes[1])
 
 
 def test_an_optimum_is_drawn_with_its_response_and_every_optimum_of_the_search(optimum):
@@ -167,45 +125,12 @@ def test_an_optimum_is_drawn_with_requirements_and_the_limits_of_what_is_drawn(o
     assert marks == [[[0.0, 1.0]]]
 
 
-def test_nothing_in_the_picture_of_an_optimum_covers_anything_else(optimum):
-    best, run = optimum
-    limit = Limit("deflection", "requirement", 0.1, "", 0.02, 0.0, False, "m", high=0.12)
-    figure = plots.plot_optimum(dataclasses.replace(best, limits=(*best.limits, limit)), run)
-    figure.savefig(io.BytesIO(), format="png")
-    boxes = [axes.get_tightbbox() for axes in figure.axes]
-    assert len(boxes) == 6
-    for one, other in itertools.combinations(boxes, 2):
-        over = Bbox.intersection(one, other)
-        assert over is None or min(over.width, over.height) < 2.0, (one, other)
-    edges = figure.bbox
-    assert all(edges.x0 - 1 <= box.x0 and box.x1 <= edges.x1 + 1 and box.y1 <= edges.y1 + 1 for box in boxes[:3])
-
-
-def test_a_far_limit_is_named_and_does_not_flatten_the_curve(run):
-    peak = run.peak_deflection
-    near, far = (Limit("deflection", "requirement", peak, "", 0.1, 0.0, False, "m", high=k * peak) for k in (1.2, 20.0))
-    plain, close, distant = (plots.plot_run(run, limits).axes[1] for limits in ((), (near,), (far,)))
-    assert line(close, legend(close)[-1])[0, 1] == pytest.approx(1.2 * peak)
-    assert "above this picture" in legend(distant)[-1]
-    assert distant.get_ylim() == pytest.approx(plain.get_ylim(), rel=0.2)
-    assert close.get_ylim()[1] > 1.2 * peak
-
-
 def test_a_sweep_of_one_quantity_is_drawn_in_one_colour(inline):
     varying, constant = (
         po.sweep(lambda at: {"b": at["a"], "c": 3.0}, {"a": [1.0, 2.0, 30.0]}, executor=inline).plot().axes
     )
     assert len(varying.collections[0].get_facecolor()) == 1
     assert (varying.get_xscale(), constant.get_ylim()) == ("log", (0.0, pytest.approx(3.6)))
-
-
-def test_a_picture_has_one_of_three_formats(tmp_path):
-    for name in ("run.jpg", "run", "run.png.txt"):
-        with pytest.raises(po.InputError, match=r"must end in \.png, \.svg or \.pdf"):
-            plots.save(Figure(figsize=(2, 1)), tmp_path / "new" / name)
-    assert list(tmp_path.iterdir()) == []
-    assert plots.save(Figure(figsize=(2, 1)), tmp_path / "a" / "RUN.PNG").read_bytes().startswith(b"\x89PNG")
-    assert plots.save(Figure(figsize=(2, 1)), tmp_path / "run.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_a_wedge_field_shows_both_stresses_around_the_body():

@@ -19,7 +19,6 @@ from helpers.scenes import AVERAGES, Shank, scene_of
 from helpers.strict_json import strict
 
 import plough_opt as po
-from plough_opt.app.plots import plot_designs
 from plough_opt.core.expressions import exp
 
 pandas = pytest.importorskip("pandas")
@@ -123,18 +122,6 @@ def test_frames_hold_the_numbers_with_their_units():
     np.testing.assert_array_equal(fit().to_dataframe()["observed"], fit().observed)
 
 
-def test_designs_are_drawn_between_their_limits():
-    figure = optimum().local_optima[0].plot()
-    labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["loosened radius [m]", "half height [mm]", "height [mm]", "stiffness [kN/m]"]
-    places = {line.get_marker(): line.get_xdata()[0] for line in figure.axes[0].lines if len(line.get_xdata())}
-    assert places == {"o": optimum().limits[0].value, "None": 0.12}
-    without = replace(optimum(), limits=optimum().limits[1:])
-    figure = plot_designs({"one": optimum(), "without its first limit": without})
-    drawn = [sum(len(line.get_xdata()) and line.get_marker() == "o" for line in axes.lines) for axes in figure.axes]
-    assert drawn == [1, 2, 2, 2]
-
-
 def test_designs_in_python_keep_their_declarations(tmp_path):
     origin = po.load(optimum().save(tmp_path / "best.json")).origin
     declared = origin.declarations
@@ -148,12 +135,6 @@ def test_designs_in_python_keep_their_declarations(tmp_path):
     assert declared["k"]["value"] == 1.0
     assert declared["radius"]["aim"] == "maximise"
     assert "x [mm]" in str(front())
-
-
-def test_a_run_with_an_unknown_error_reads_back(tmp_path):
-    made = replace(run(), checks=replace(run().checks, error_estimate=math.inf))
-    assert strict(made.to_json())["error_estimate"] == "Infinity"
-    assert po.load(made.save(tmp_path / "run.json")).to_json() == made.to_json()
 
 
 def denser(r, width):
@@ -284,10 +265,6 @@ def test_a_saved_result_holds_what_made_it(folder, saved):
         assert platform.node() == "" or platform.node() not in path.read_text(encoding="utf-8").split()
 
 
-def test_a_file_name_that_is_no_text_is_saved_with_question_marks():
-    assert replace(po.read_problem(SUBSOILER), name="a\udce4.toml").origin.file == "a?.toml"
-
-
 def test_show_prints_the_same_tables(folder, saved):
     words = optimised(folder, "2.5 m/s")
     fresh, again = printed(*words).splitlines(), printed("show", saved[1]).splitlines()
@@ -317,36 +294,3 @@ def test_several_designs_are_shown_side_by_side(saved, tmp_path):
     assert picture.stat().st_size > 5000
     found = strict(printed("show", *saved, "--json"))
     assert found["fast.json"]["share.height"] == fast.variables["share.height"]
-
-
-def test_several_results_have_no_one_problem_and_are_not_overwritten(saved, tmp_path):
-    other = shutil.copy(saved[0], tmp_path / "picture.png")
-    for words, told in (
-        ([saved[0], other, "--problem"], "name one"),
-        ([saved[0], other, "--plot", other], "would overwrite"),
-    ):
-        done = call("show", *words)
-        assert done.status == 2
-        assert told in done.said
-
-
-def test_a_sweep_is_shown_from_its_file(inline, tmp_path):
-    file, over = tmp_path / "s.csv", {"a": [1.0, 2.0]}
-    po.sweep(lambda point: {"b": point["a"]}, over, file=file, executor=inline)
-    assert "2 points, 0 failed" in printed("show", file)
-    assert strict(printed("show", file, "--json"))["points"] == 2
-    assert "the file of a sweep does not hold its problem" in call("show", file, "--problem").said
-
-
-# The limit of the file, and one near the curve, which ends at 0.05 m: only that is drawn, in metres as the file has it.
-FILE_LIMITS = [([], "0.12 m, above this picture", []), (["require.deflection.at_most=0.06 m"], "0.06 m", [0.06, 0.06])]
-
-
-@pytest.mark.parametrize(("changes", "words", "drawn_at"), FILE_LIMITS)
-def test_a_run_of_a_file_is_drawn_with_the_files_limits(tmp_path, changes, words, drawn_at):
-    run = po.read_problem(SUBSOILER, changes).simulate()
-    for made in (run, po.load(run.save(tmp_path / "run.json"))):
-        (axes,) = [axes for axes in made.plot().axes if axes.get_ylabel().startswith("deflection")]
-        (limit,) = [line for line in axes.lines if line.get_label().startswith("limit of the deflection")]
-        assert limit.get_label() == f"limit of the deflection {words}"
-        assert list(limit.get_ydata()) == drawn_at

@@ -248,13 +248,6 @@ test_invalid_spectra_are_refused = refusals(
 )
 
 
-def test_a_share_that_would_stop_carries_a_warning():
-    calm, wild = (scene(po.RandomStrength(rms, 0.3), damping=100.0) for rms in (0.02, 0.9))
-    for own in (calm, wild):
-        warned = any("sometimes stops or retreats" in text for text in own.warnings())
-        assert warned == (3.0 * own._stationary.speed_rms > own.tow_speed) == (own is wild)
-
-
 # Damping [N s/m], correlation length [m], and the least part of all passes that exceed the peak: upcrossings of a mount
 # with hardly any damping come in clusters.
 PEAKS = [(600.0, 0.3, 0.035), (3000.0, 0.05, 0.035), (30.0, 1.0, 0.01)]
@@ -305,10 +298,3 @@ def test_the_peaks_of_a_pass():
         peak = replace(scene(random), stiffness=x).stationary_peak_force
         number = replace(scene(random), stiffness=1.7e5).stationary_peak_force
         assert float(ca.evalf(ca.substitute(peak, x, 1.7e5))) == pytest.approx(number, rel=1e-9)
-
-
-def test_a_table_does_not_offer_the_peak_of_the_simulated_motion_alone():
-    text = str(po.simulate(scene(), 0.2))
-    assert "peak mount force without random strength" in text
-    assert "mount force exceeded in 5 % of passes of 1 km" in text
-    assert "exceeded" not in str(po.simulate(scene(None), 0.2))

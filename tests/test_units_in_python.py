@@ -17,14 +17,11 @@ from helpers.refusals import refusals
 from helpers.scenes import SEROZEM, scene_of
 
 import plough_opt as po
-from plough_opt.app.main import main
 from plough_opt.core.checks import LEAST, DomainLimit
 from plough_opt.core.expressions import exp
-from plough_opt.core.quantities import EVERY
 from plough_opt.core.units import registry
 from plough_opt.design.search import effort
 from plough_opt.motion.scene import quantities_of, with_quantities
-from plough_opt.problem_file import template
 from plough_opt.soil import plastic
 
 U = pint.UnitRegistry()
@@ -53,17 +50,6 @@ def test_dimensions_of_tines_may_have_a_unit():
     assert tuple(tine) == pytest.approx((0.06, 0.3, po.deg(45), 1e3, 0.0), rel=1e-15)
     drafts = [scene_of(medium=po.laws.AsabeD497(depth=depth)).steady_resistance for depth in (0.3, "30 cm")]
     assert drafts[1] == pytest.approx(drafts[0], rel=1e-15)
-
-
-def test_arrays_may_have_a_unit():
-    np.testing.assert_allclose(po.Cone(0.2, U.Quantity([20.0, 30.0], "cm")).height, [0.2, 0.3], rtol=1e-15)
-
-
-test_invalid_quantities_are_refused = refusals(
-    po.InputError,
-    (lambda: scene_of(stiffness="50 kg"), '= "50 kg" has the wrong unit: expected a quantity in N/m, like "50 kN/m"'),
-    (lambda: scene_of(stiffness=50 * U.kg), 'stiffness = "50 kilogram" has the wrong unit'),
-)
 
 
 SLIPS = {
@@ -96,12 +82,6 @@ def test_an_implausible_value_warns_once_and_not_where_the_toolkit_copies_it():
         assert with_quantities(scene, {"scene.stiffness": 60.0}).stiffness == 60.0
 
 
-def test_typical_values_are_plausible():
-    for quantity in EVERY.values():
-        assert quantity.slip(quantity.typical) == "", quantity.name
-        assert quantity.plausible[0] < quantity.typical <= quantity.plausible[1]
-
-
 def test_a_design_accepts_texts_quantities_and_numbers():
     d = po.Design()
     height = d.variable("height", guess="250 mm", lower="100 mm", upper="0.5 m", tolerance="2 mm")
@@ -131,21 +111,6 @@ test_plain_numbers_with_a_unit_that_is_not_si_are_refused_with_the_remedy = refu
     (lambda: po.Input("scene.stiffness", "20 kN"), "wrong unit"),
     (lambda: po.Output("mean_draft", upper="8 m"), "wrong unit"),
 )
-
-
-def test_a_unit_outside_physics_only_labels_reports():
-    assert D.variable("price", guess=2.0, lower=1.0, upper=3.0, unit="EUR").name() == "price"
-
-
-def test_an_implausible_value_in_a_file_is_noted(capsys, tmp_path):
-    path = tmp_path / "slip.toml"
-    path.write_text(template().replace('tow_speed = "7.2 km/h"', 'tow_speed = "7.2 m/s"'), encoding="utf-8")
-    (caution,) = po.read_problem(path).cautions
-    assert caution == "scene.tow_speed = 7.2 m/s: did you mean 7.2 km/h?"
-    assert main(["check", str(path)]) == 0
-    said = capsys.readouterr().err
-    assert f"note: {caution}" in said
-    assert "ImplausibleValue" not in said
 
 
 def test_durations_bounds_and_limits_accept_texts_and_pint():
@@ -198,11 +163,6 @@ ARRAYS = {
 def test_arrays_never_meet_the_nodes_of_a_quadrature(call, count):
     with pytest.raises(po.InputError, match="one number per quantity"):
         call(count)
-
-
-def test_an_array_of_one_number_is_that_number():
-    alone = po.resistance(po.Cone(np.array([0.2]), 0.25), _denser(), np.array([1.0, 2.0]), 0.0)
-    assert alone == pytest.approx([po.resistance(CONE, _denser(), v, 0.0) for v in (1.0, 2.0)], rel=1e-15)
 
 
 # --- wrong types, and numbers that would overflow ---

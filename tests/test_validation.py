@@ -15,7 +15,6 @@ from helpers.scripts import imported
 
 
 PARTICLES = PROBLEMS / "particles"
-MAIN = "half angle, equal height"
 
 
 @pytest.fixture(scope="module")
@@ -37,34 +36,6 @@ def test_the_plan_has_every_run_once_and_three_packings_of_each_case(script):
     assert {*Counter(one.case for one in runs).values()} == {3}
 
 
-def test_an_interrupted_plan_continues_where_it_ended(script, tmp_path, monkeypatch, capsys):
-    runs = script.plan()[:30]
-    failing, interrupted = runs[1], [runs[25]]
-    done = []
-
-    def pretended(one):
-        if one in interrupted:
-            interrupted.clear()
-            raise KeyboardInterrupt
-        if one == failing:
-            raise RuntimeError("no result")
-        done.append(one)
-        return {**vars(one), "draft": 1.0 / 3.0}
-
-    monkeypatch.setattr(script, "plan", lambda: runs)
-    monkeypatch.setattr(script, "run", pretended)
-    with pytest.raises(KeyboardInterrupt):
-        script.main([], tmp_path)
-    for _ in range(2):
-        script.main([], tmp_path)
-    assert done == [one for one in runs if one != failing]
-    assert capsys.readouterr().out.count("FAILED: no result") == 3
-    rows = [row for name in ("particles", "triaxial") for row in script.read_rows(tmp_path / f"{name}.csv")]
-    assert {row["kind"] for row in rows} == {"cone", "triaxial"}
-    assert Counter(map(script.key_of, rows)) == Counter(one.key for one in done)
-    assert {row["draft"] for row in rows} == {"0.333333"}
-
-
 # --- tools ---
 
 
@@ -84,52 +55,6 @@ def test_tools_of_one_half_angle_have_the_surface_of_the_cone(script, angle):
     # The pyramid that replaces the cone has its base area; its faces are a little flatter.
     assert area(cone["base"]) == pytest.approx(math.pi * radius**2, rel=1e-12)
     assert area(cone["working"]) == pytest.approx(surface, rel=0.015)
-
-
-def test_closed_tools_leave_no_gap(script):
-    for kind in ("cone", "wedge", "closed_share"):
-        groups = script.faces_of(case(script, kind=kind)).values()
-        triangles = [t for group in groups for t in group]
-        edges = Counter(frozenset((t[i], t[i - 1])) for t in triangles for i in range(3))
-        assert set(edges.values()) == {2}, kind
-
-
-# --- statistics ---
-
-
-@pytest.mark.parametrize("memory", [0.0, 0.6, 0.9])
-def test_the_standard_error_of_a_first_order_process(script, memory):
-    rng = np.random.default_rng(4)
-    length, trials = 1000, 400
-    noise = rng.standard_normal((trials, length + 200))
-    series = np.zeros_like(noise)
-    for i in range(1, noise.shape[1]):
-        series[:, i] = memory * series[:, i - 1] + noise[:, i]
-    series = series[:, 200:]
-    # Var(mean) of x_i = memory x_(i-1) + e_i, exact for a finite length.
-    lags = np.arange(1, length)
-    spread = 1.0 + 2.0 * np.sum((1.0 - lags / length) * memory**lags)
-    truth = math.sqrt(spread / (1.0 - memory**2) / length)
-    errors = np.array([script.standard_error(one) for one in series])
-    # 400 trials: a standard error of 4 % in what they scatter by, and of 1 to 2 % in the mean of their estimates.
-    assert np.sqrt(np.mean(errors**2)) == pytest.approx(truth, rel=0.08)
-    assert series.mean(axis=1).std() == pytest.approx(truth, rel=0.12)
-
-
-def test_the_displaced_zone_of_incompressible_soil(script):
-    rng = np.random.default_rng(5)
-    base, end = 0.02, 0.14
-    before = rng.uniform(-end, end, (200_000, 3))
-    radius = np.hypot(before[:, 1], before[:, 2])
-    # Incompressible soil around a cylinder that has grown from nothing: y^2 = r^2 + R^2.
-    moved = before * ((np.sqrt(radius**2 + base**2) - radius) / radius)[:, None]
-    radii = script.zone_radii(before, moved, 0.0, base, 0.01, end)
-    truth = [base * (1.0 - share**2) / (2.0 * share) for share in script.ZONE_SHARES]
-    assert truth[0] > end
-    assert truth[1] > end
-    assert radii[:2] == [end, end]
-    assert radii[3] == pytest.approx(truth[3], rel=0.02)
-    assert script.zone_radii(before, 0.0 * moved, 0.0, base, 0.01, end) == [base] * 4
 
 
 # --- YADE ---
@@ -169,15 +94,6 @@ def test_rows_are_numbers_under_documented_columns(script, name):
         assert min(numbers[column] for column in TABLES[name]) > 0.0, row["case"]
         assert 0.3 < numbers["porosity"] < 0.5
     assert len({script.key_of(row) for row in rows}) == len(rows)
-
-
-def test_cases_were_run_in_every_packing_of_the_plan(script):
-    planned = {one.key[:-1]: one.question for one in script.plan()}
-    found = Counter(script.key_of(row)[:-1] for name in TABLES for row in script.read_rows(PARTICLES / f"{name}.csv"))
-    assert {*found.values()} == {3}
-    assert {*found} <= {*planned}
-    assert {key for key, question in planned.items() if question == MAIN} <= {*found}
-    assert found.total() >= 150
 
 
 # --- comparisons with particles and measurements: arithmetic, and every number of the page from the rows on file ---
@@ -257,13 +173,6 @@ def test_the_published_sand_against_the_plane_wedge_by_hand(measured):
     assert still.steady_resistance == pytest.approx(1440.0 * 9.81 * 0.2**2 / 2.0 * 0.3 * passive, rel=1e-3)
 
 
-def test_mean_and_error(particles):
-    values = np.random.default_rng(4).normal(3.0, 0.5, 400)
-    # The standard deviation of 400 normal values is known to 3.5 %.
-    assert particles.error_of(values) == pytest.approx(0.5 / 20.0, rel=0.15)
-    assert particles.text(np.array([1.0, 2.0, 3.0]), 3) == "2.000 ± 0.577"
-
-
 def test_the_soil_of_triaxial_tests_fails_where_they_failed(particles):
     """The Mohr-Coulomb line of the soil gives back the axial stresses, which lie on it within their scatter."""
     soil = particles.tested_soil(100e3, 50e3)
@@ -293,10 +202,3 @@ def test_ratios_compare_cases_that_differ_in_nothing_else(particles, script):
                 x.name for x in dataclasses.fields(one.case) if getattr(one.case, x.name) != getattr(one.other, x.name)
             ]
             assert question == "half angle, equal base" or len(differing) == 1
-
-
-def test_the_displaced_zone_of_the_model_conserves_mass(particles):
-    """Soil of b1 times its volume between the cone and a ring; the displacement ends at the front."""
-    for part in (0.0, 0.02, 0.1):
-        ring = particles.displaced(0.9, part)
-        assert (ring + part) ** 2 - 1.0 == pytest.approx(0.9 * ring**2, rel=1e-12)

@@ -33,8 +33,6 @@ def contest(request):
 @pytest.fixture(scope="session", autouse=True)
 def _one_core():
     """Keep this process and its children on one core, so that no tool gains by using several."""
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
-    os.environ.setdefault("JAX_PLATFORMS", "cpu")
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     if not hasattr(os, "sched_setaffinity"):

@@ -108,8 +108,6 @@ def _fixed_step_peers(values, truth, groups, peer):
         runs["RK4 in C, a design at a time"] = c.scalar()
     if (numba := peer("numba_rk4")) is not None:
         runs["RK4 in Numba"] = numba.batch
-    if (jax := peer("jax_rk4")) is not None:
-        runs["RK4 in JAX, vmap and jit"] = jax.batch
 
     def error(run, part, wanted, steps):
         mean, spread = np.asarray(run(part, steps))

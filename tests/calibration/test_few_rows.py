@@ -3,15 +3,11 @@
 import copy
 import dataclasses
 import math
-import pickle
 import re
-import warnings
 
 import numpy as np
-import pint
 import pytest
 from helpers.known_soil import BOUNDS, TRUTH, drafts, steady_scene
-from helpers.problem_files import STATIC, changed
 
 import plough_opt as po
 
@@ -40,17 +36,6 @@ def assert_same(one, other):
     # The search stops within 1e-4 of a standard error.
     np.testing.assert_allclose(*numbers, rtol=1e-3, atol=1e-6)
     assert (one.freedom, len(one.warnings)) == (other.freedom, len(other.warnings))
-
-
-@pytest.mark.parametrize("loss", LOSSES)
-def test_rows_of_weight_0_change_nothing(loss):
-    whole, extra = table(8), table(3, seed=1)
-    values = np.r_[whole.values, 1e3 * extra.values]
-    conditions = {key: np.r_[whole.conditions[key], extra.conditions[key]] for key in whole.conditions}
-    with_extra = po.Measurements("mean_draft", values, conditions, weights=[1.0] * 8 + [0.0] * 3)
-    fits = [po.calibrate(steady_scene(), data, BOTH, loss=loss) for data in (whole, with_extra)]
-    assert_same(*fits)
-    assert {row.place for row in fits[1].hold_out(0.5).rows} < {whole.row(k) for k in range(8)}
 
 
 @pytest.mark.parametrize("errors", ["constant", "relative"])
@@ -102,51 +87,6 @@ def test_any_small_table_gives_an_answer_or_an_input_error(seed):
     assert all(np.isfinite(value) for value in (*fit.values.values(), fit.scatter, *fit.optima))
     assert not any(np.isnan(end) for interval in fit.intervals().values() for end in interval)
     assert str(fit) == str(copy.deepcopy(fit))
-
-
-def test_a_fit_is_a_value():
-    data = table(6)
-    fit, again = (po.calibrate(steady_scene(), data, BOTH) for _ in range(2))
-    assert fit == again
-    before, copied = str(fit), copy.deepcopy(fit)
-    fit.intervals(0.9)
-    fit.hold_out()
-    assert (str(fit), str(copied), fit) == (before, before, copied)
-    assert "90 % interval" in str(dataclasses.replace(fit, level=0.9))
-    assert pickle.loads(pickle.dumps(fit)) == fit
-
-
-def test_predictions_take_units_and_refuse_what_is_not_an_unknown():
-    calibration = po.Calibration(steady_scene(), table(3), COHESION)
-    expected = calibration.predict({"soil.cohesion": 20e3})
-    conditions, exact = drafts([2.0], [0.7])
-    alone = po.Calibration(steady_scene(), po.Measurements("mean_draft", exact, conditions, sigma=1.0), COHESION)
-    assert alone.predict({"soil.cohesion": TRUTH["soil.cohesion"]}) == pytest.approx(exact, rel=1e-12)
-    for same in ("20 kPa", pint.Quantity(20.0, "kPa"), np.float64(20e3), 20_000):
-        assert calibration.predict({"soil.cohesion": same}) == pytest.approx(expected, rel=1e-14)
-    for wrong, words in [
-        ({}, "lack soil.cohesion"),
-        (None, "lack soil.cohesion"),
-        ({"soil.cohesion": 2e4, "soil.density": 1.0}, "'soil.density' is not an unknown"),
-        ({"soil.cohesion": "20 m"}, "wrong unit"),
-        ({"soil.cohesion": [2e4]}, "is not a number"),
-        ({"soil.cohesion": float("nan")}, "must be finite"),
-        ({"soil.cohesion": 0.0}, "must be above 0"),
-        ([2e4], "values"),
-    ]:
-        with pytest.raises((po.InputError, po.DomainError), match=words):
-            calibration.predict(wrong)
-
-
-def test_columns_and_bounds_take_units():
-    speed, draft = pint.Quantity([3.6, 7.2, 9.0], "km/h"), pint.Quantity([1.6, 1.8, 1.9], "kN")
-    with warnings.catch_warnings(action="error"):
-        data = po.Measurements("mean_draft", draft, {"scene.tow_speed": speed}, sigma="0.1 kN")
-    np.testing.assert_allclose([data.values, data.conditions["scene.tow_speed"]], [[1600, 1800, 1900], [1, 2, 2.5]])
-    assert data.sigma == pytest.approx(100.0)
-    bounds = (pint.Quantity(1.0, "kPa"), "80 kPa")
-    one, other = (po.calibrate(steady_scene(), data, {"soil.cohesion": own}) for own in (bounds, (1e3, 80e3)))
-    assert one.values == other.values
 
 
 NAMES = ("soil.cohesion", "soil.tool_friction", "effects.rate_term")
@@ -214,18 +154,6 @@ def test_undetermined_unknowns_have_infinite_intervals(confounded):
     assert np.all(np.isfinite([row.standard_error for row in confounded.rows]))
 
 
-def test_an_undetermined_unknown_does_not_change_the_others(confounded, measured):
-    """Along the undetermined direction nothing changes, so that fixing one of the two changes no other result."""
-    name = "soil.tool_friction"
-    fit = po.calibrate(steady_scene(), measured, {key: STRENGTH[key] for key in ("soil.cohesion", name)})
-    # The pull along the open direction moves the others by less than a hundredth of their error, squared here.
-    assert confounded.optima[0] == pytest.approx(fit.optima[0], rel=1e-3)
-    error = fit.standard_errors[name]
-    assert confounded.values[name] == pytest.approx(fit.values[name], abs=0.02 * error)
-    assert confounded.standard_errors[name] == pytest.approx(error, rel=0.02)
-    assert tuple(confounded.intervals()[name]) == pytest.approx(tuple(fit.intervals()[name]), abs=0.12 * error)
-
-
 def test_an_unknown_without_effect_is_named(measured):
     unknown = {"soil.cohesion": BOUNDS["soil.cohesion"], "scene.stiffness": (1e4, 1e6)}
     fit = po.calibrate(steady_scene(), measured, unknown)
@@ -243,15 +171,6 @@ def test_six_unknowns_are_separated_into_determined_and_undetermined(measured):
     assert {"soil.cohesion", "soil.ambient_pressure", "soil.friction_angle", "soil.density_ratio"} <= named
     determined = {name for name, error in fit.standard_errors.items() if error < math.inf}
     assert determined == {"soil.tool_friction", "effects.rate_term"}
-
-
-def test_a_small_part_of_a_combination_is_named_too(measured):
-    """The bounds of the ambient pressure offset a hundredth of those of the cohesion."""
-    unknown = {"soil.cohesion": (0.0, 1e6), "soil.ambient_pressure": (50e3, 70e3)}
-    vague = po.Measurements("soil.ambient_pressure", [60e3], sigma=1e6)
-    for data, count in (([measured], 1), ([measured, vague], 2)):
-        found = po.calibrate(steady_scene(), data, unknown).unidentifiable
-        assert (len(found), {name for one in found for name in one.changes}) == (count, set(unknown))
 
 
 def test_a_direct_measurement_of_an_unknown_determines_all(measured):
@@ -306,30 +225,3 @@ def test_errors_agree_with_propagation():
     assert errors["soil.density_ratio"] == pytest.approx(of_ratio, rel=1e-6)
     relative = errors["soil.strength_factor"] / fit.values["soil.strength_factor"]
     assert relative == pytest.approx(math.hypot(1e5 / INDEX, slope * of_ratio), rel=1e-5)
-
-
-@pytest.mark.slow  # by default test_linear.py stands for it
-def test_the_intervals_hold_the_truth():
-    """Eight insertions and three widths of a known soil: 95 +- 3 % of the 95 % intervals hold the truth."""
-    true = dataclasses.replace(BASE, density_ratio=0.85, strength_factor=20.0)
-    index, radius = po.cone_index(true), po.loosened_radius(CONE, true)
-    trials, rng, inside = 500, np.random.default_rng(4), np.zeros(2)
-    for _ in range(trials):
-        indices, radii = (x * (1.0 + s * rng.standard_normal(n)) for x, s, n in ((index, 0.12, 8), (radius, 0.03, 3)))
-        found = fitted(indices, radii, (0.12 * index, 0.03 * radius)).intervals()
-        inside += [20.0 in found["soil.strength_factor"], 0.85 in found["soil.density_ratio"]]
-    assert np.all(np.abs(inside / trials - 0.95) <= 0.03), inside / trials
-
-
-def test_with_the_cone_index_in_the_file_the_trench_gives_the_density_ratio(tmp_path):
-    """With the reading in the file the width decides b1, and the strength factor follows from both."""
-    path = tmp_path / "share.toml"
-    soil = 'name = "firm sandy loam"\nambient_pressure = "5 kPa"\ncone_index = "1.6 MPa"'
-    path.write_text(changed(('name = "serozem"', soil), text=STATIC), encoding="utf-8")
-    problem = po.read_problem(path)
-    data = po.Measurements("loosened_radius", [RADIUS], sigma=3e-3)
-    fit = po.calibrate(problem, data, {"soil.density_ratio": (0.4, 0.97)})
-    ratio = fit.values["soil.density_ratio"]
-    soil = problem.scene({"share.height": 0.24, "soil.density_ratio": ratio}).soil
-    assert po.cone_index(soil) == pytest.approx(INDEX, rel=1e-12)
-    assert soil.strength_factor == pytest.approx(INDEX / index_of(ratio), rel=1e-9)

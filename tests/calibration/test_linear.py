@@ -14,7 +14,6 @@ from helpers.strict_json import strict
 from scipy import optimize, stats
 
 import plough_opt as po
-from plough_opt.studies.calibration import least_squares
 from plough_opt.studies.calibration.least_squares import SOFT_L1
 
 # --- models linear in their unknowns, against linear regression; optima of every loss; how often intervals hold ---
@@ -290,31 +289,6 @@ def test_data_that_do_not_fit_are_refused(scene, data, words):
         po.calibrate(scene, data, {"soil.cohesion": (1e3, 80e3), "soil.tool_friction": (0.1, 1.0)})
 
 
-def test_a_calibration_fits_other_observed_values(measured, three, fitted):
-    calibration = po.Calibration(steady_scene(), measured, three)
-    assert calibration.fit(measured.values).values == fitted.values
-    for wrong in ("abc", [1.0, 2.0], ["a"] * 24, [np.nan] * 24):
-        with pytest.raises(po.InputError, match="observed must be 24 finite numbers"):
-            calibration.fit(wrong)
-
-
-def test_invalid_levels_are_refused(fitted):
-    with pytest.raises(po.InputError, match="level = 95 must be below 1"):
-        fitted.intervals(95)
-
-
-def test_a_fit_that_does_not_converge_is_refused(measured, three, fitted, monkeypatch):
-    monkeypatch.setitem(least_squares._TOLERANCES, "max_nfev", 1)
-    with pytest.raises(po.NotConverged, match="did not converge from any of 4 starts") as failure:
-        po.calibrate(steady_scene(), measured, three)
-    assert failure.value.status
-    # A profile that does not converge gives way to the linearised interval.
-    ends = fitted.intervals(0.9)["soil.tool_friction"]
-    value, reach = fitted.values["soil.tool_friction"], 1.6448536 * fitted.standard_errors["soil.tool_friction"]
-    assert ends.kind == "linearised"
-    assert [*np.log([*ends])] == pytest.approx(np.log(value) + np.array([-1.0, 1.0]) * reach / value, rel=1e-6)
-
-
 FILE, DATA = PROBLEMS / "calibration.toml", PROBLEMS / "synthetic_draft.csv"
 
 
@@ -423,12 +397,6 @@ def test_pictures(fitted):
     assert [len(axes.containers[0][0].get_xdata()) for axes in (first, second)] == [len(fitted.rows)] * 2
 
 
-def test_a_picture_of_several_results(measured, three):
-    radius = po.Measurements("loosened_radius", [0.2, 0.21], sigma=0.01, name="radius")
-    first = po.calibrate(steady_scene(), [measured, radius], three).plot().axes[0]
-    assert (first.get_xlabel(), len(first.containers)) == ("predicted value, over the largest of its kind", 2)
-
-
 # --- predictions of rows held out of a fit: linear regression, 150 synthetic sets, groups, refusals ---
 
 
@@ -462,20 +430,6 @@ def test_rows_with_one_value_in_a_column_are_held_out_together():
     speeds = {row.conditions["scene.tow_speed"] for row in held.rows}
     others = {row.conditions["scene.tow_speed"] for row in fit.rows} - speeds
     assert (len(speeds), len(others), len(held.rows), held.fitted) == (2, 4, 8, 16)
-
-
-def test_a_row_whose_prediction_the_others_do_not_determine_has_no_interval():
-    soil = {"soil.cohesion": (1e3, 80e3), "effects.rate_term": (0.0, 0.2)}
-    speeds = np.array([1.0] * 5 + [4.0])
-    values = [float(steady_scene(v).steady_resistance) for v in speeds]
-    data = po.Measurements("mean_draft", values, {"scene.tow_speed": speeds}, sigma=50.0)
-    fit = po.calibrate(steady_scene(), data, soil)
-    seed = next(s for s in range(9) if {r.conditions["scene.tow_speed"] for r in
-                                        fit.hold_out(0.5, by="scene.tow_speed", seed=s).rows} == {4.0})  # fmt: skip
-    held = fit.hold_out(0.5, by="scene.tow_speed", seed=seed)
-    assert held.coverage == (0, 0)
-    assert np.isinf(held.half_widths).all()
-    assert "1 more depend on what the fitted rows do not determine" in held.words()
 
 
 def test_the_command_prints_draws_and_writes_them(tmp_path):

@@ -126,16 +126,6 @@ def test_every_mistake_is_listed(written):
     assert [f"line {k}," in line for k, line in enumerate(lines, start=2)] == [True] * 8
 
 
-def test_missing_folders_and_binary_files_are_refused(tmp_path, written):
-    beside = written(HEADER + ROWS)
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
-    for path, words in ((beside.with_name("drafts.csv"), r"there is no file .*did you mean '.*draft.csv'"),
-                        (tmp_path / "none" / "a.csv", "its folder does not contain any .csv file; check the path"),
-                        (tmp_path, "is a folder"), (tmp_path / "binary.csv", "it is not UTF-8")):  # fmt: skip
-        with pytest.raises(po.InputError, match=words):
-            po.read_measurements(path)
-
-
 REFUSED = [
     (("mean_draft", []), {}, "there are no measurements"),
     (("mean_drafts", [1.0]), {"name": "{1}"}, "{1}: 'mean_drafts' is not a measured result: did you mean"),

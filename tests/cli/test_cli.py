@@ -21,7 +21,7 @@ import casadi as ca
 import pytest
 import trimesh
 from helpers.commands import call, cells, printed
-from helpers.problem_files import PROBLEMS, REFERENCE, SUBSOILER, changed
+from helpers.problem_files import PROBLEMS, REFERENCE, SUBSOILER
 from helpers.swept import until
 
 import plough_opt as po
@@ -81,23 +81,6 @@ def test_check_shows_every_quantity_in_the_unit_of_the_file_and_what_follows():
     assert frequency == pytest.approx(math.sqrt(50e3 / mass) / math.tau, rel=1e-3)
     assert cells(done.out, "equation of motion")[0].startswith("2 states")
     assert "3 variables, 3 requirements" in done.out
-
-
-def test_check_shows_changes_and_notes_what_is_fixed(tmp_path):
-    done = call("check", SUBSOILER, "--set=effects.damping=1 kN*s/m", "--set=share.height=0.3 m")
-    assert cells(done.out, "effects.damping") == ["1 kN*s/m"]
-    assert cells(done.out, "share.height") == ["0.3 m"]
-    assert "2 variables" in done.out
-    assert done.err == "note: 'share.height' is a variable of the file and is now fixed at 0.3 m\n"
-    out = printed("check", SUBSOILER, "--set", "effects.formulation=printed")
-    assert "natural frequency" not in out  # a spring that repels does not oscillate
-    assert cells(out, "growth under the print's repelling spring")[0].startswith("exp(")
-    out = printed("check", REFERENCE, "--set", "effects.motion=false", "--set", "title=a [red]title[/red] [/]")
-    assert cells(out, "quasi-static") == ["no equation of motion"]
-    assert "a [red]title[/red] [/]" in out
-    path = tmp_path / "share.toml"
-    path.write_text(changed(('steel_density = "7850 kg/m^3"', "")), encoding="utf-8")
-    assert cells(printed("check", path), "scene.steel_density") == ["7850 kg/m^3"]  # a default has its unit too
 
 
 def test_simulate_prints_the_numbers_of_the_run_and_saves_them(tmp_path):
@@ -231,16 +214,6 @@ class TestInterruptions:
         with ThreadPoolExecutor(1) as other:  # in which Python can set no handler
             assert other.submit(call, "soils").result().status == 0
 
-    def test_files_that_are_written_already_are_not_denied(self, monkeypatch, tmp_path):
-        def interrupted(_):
-            terminal.wrote(tmp_path / "a.csv")
-            raise KeyboardInterrupt
-
-        monkeypatch.setattr(commands, "soils", interrupted)
-        done = call("soils")
-        assert done.status == 130
-        assert done.err.endswith("a.csv\nstopped: no other file was written\n")
-
     def test_one_during_the_imports_is_no_traceback(self, tmp_path):
         code = """
 import sys
@@ -255,23 +228,6 @@ sys.exit(main())
         line = [sys.executable, "-c", code, "init", str(tmp_path / "a.toml")]
         done = subprocess.run(line, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout, done.stderr) == (130, "", "stopped: no file was written\n")
-
-
-def test_an_output_that_may_not_be_written_is_refused(monkeypatch, tmp_path):
-    monkeypatch.setattr(os, "access", lambda *_: False)  # a superuser may write anywhere
-    done = call("simulate", SUBSOILER, "--plot", tmp_path / "a.png")
-    assert (done.status, done.err.endswith("a.png' cannot be written: permission denied\n")) == (2, True)
-
-
-def test_environments_that_cannot_be_are_bad_input(command, tmp_path):
-    for variable, value, line, told in (
-        ("MPLBACKEND", "bogus", ("simulate", "--plot", "a.png"), "--plot: matplotlib cannot start: "),
-        ("CC", "'", ("export", "--to", "fmu", "--output", "a.fmu"), '$CC = "\'" is not a command: No closing'),
-    ):
-        done = command(line[0], SUBSOILER, *line[1:], environment={variable: value}, cwd=tmp_path)
-        assert done.status == 2
-        assert done.err.startswith(f"bad input: {told}")
-        assert list(tmp_path.iterdir()) == []
 
 
 # --- what a command says beside its results, and that it is under way ---
@@ -374,22 +330,6 @@ NOT_USED = [
 ]
 
 
-AFTERWARDS = """
-import gc, os
-from plough_opt.__main__ import main
-assert main() == 0
-print(gc.isenabled(), gc.get_freeze_count() > 10_000, len(os.listdir("/proc/self/task")))
-"""
-
-
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="only Linux lists the threads of a process here")
-def test_a_command_starts_no_threads_and_collects_no_modules():
-    environment = {name: text for name, text in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    line = [sys.executable, "-c", AFTERWARDS, "check", str(SUBSOILER)]
-    done = subprocess.run(line, capture_output=True, text=True, check=True, timeout=60, env=environment)
-    assert done.stdout.splitlines()[-1] == "True True 1"
-
-
 @pytest.mark.parametrize(("arguments", "shown", "left_alone"), NOT_USED, ids=[line[0] for line, *_ in NOT_USED])
 def test_a_command_imports_only_what_it_uses(tmp_path, monkeypatch, arguments, shown, left_alone):
     monkeypatch.chdir(tmp_path)
@@ -485,19 +425,6 @@ def test_c_with_inputs_and_outputs_of_ones_own_passes_its_test(tmp_path):
     assert {path.name for path in (tmp_path / "c").iterdir()} == {"Makefile", "cotton.c", "cotton.h", "cotton_test.c"}
 
 
-def test_what_to_do_next_can_be_pasted_whatever_the_folder_is_called(tmp_path):
-    folder = tmp_path / 'new "share\'s"'
-    out = printed("export", SUBSOILER, "--to", "fmu", "--output", folder / "a.fmu", "--sources")
-    assert "next: fmpy simulate '" in out
-    few = ("--set", "effects={motion=false}", "--outputs", "mean_draft")
-    out = printed("export", SUBSOILER, "--to", "casadi", "--output", folder / "a.casadi", *few)
-    line = out[out.index("next: ") + len("next: ") :]
-    # Its python is the one that has CasADi.
-    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
-    assert "share" in subprocess.check_output(line, shell=True, text=True, env=os.environ | {"PATH": path})
-    assert "next: plough-opt optimise '" in printed("init", folder / "a.toml")
-
-
 def test_parts_have_units_and_bodies(tmp_path):
     bent = ("--opening", "60 deg", "--thickness", "1 cm", "--at", "guess")
     out = printed("export", REFERENCE, "--to", "stl", "--output", tmp_path / "share.stl", *bent)
@@ -509,11 +436,3 @@ def test_parts_have_units_and_bodies(tmp_path):
     assert "Cone of the guesses: half angle" in printed("export", REFERENCE, "--to", "stl", *cone)
     volume = share.equivalent_cone().volume
     assert trimesh.load_mesh(tmp_path / "a.stl").volume == pytest.approx(1e9 * volume, rel=1e-6)
-
-
-@pytest.mark.parametrize(("part", "words"), [("[variables]", "nothing to vary"), ("[minimise]", "requires nothing")])
-def test_a_file_without_variables_or_results_needs_names_of_inputs_and_outputs(tmp_path, part, words):
-    fixed = ("share.wedge_angle=25 deg", "share.height=0.2 m", "scene.stiffness=50 kN/m")
-    (tmp_path / "p.toml").write_text(REFERENCE.read_text(encoding="utf-8").partition(part)[0], encoding="utf-8")
-    with pytest.raises(po.InputError, match=words):
-        po.read_problem(tmp_path / "p.toml", fixed if part == "[variables]" else ()).component()

@@ -7,18 +7,16 @@ import re
 import signal
 import subprocess
 import sys
-from itertools import pairwise
 
 import numpy as np
 import pandas
 import pytest
 from helpers import swept
 from helpers.commands import call, cells, printed
-from helpers.problem_files import PROBLEMS, REFERENCE, STATIC, SUBSOILER, changed
+from helpers.problem_files import PROBLEMS, STATIC, SUBSOILER, changed
 
 import plough_opt as po
 from plough_opt.app.main import parser
-from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.tables import write_frame
 from plough_opt.studies.accuracy import AccuracyStudy
 from plough_opt.studies.tradeoff.front import distances
@@ -42,12 +40,6 @@ def test_tables_advice_and_files(static, tmp_path):
     study = AccuracyStudy.load(output)
     assert (study.wanted, study.duration) == (1e-5, pytest.approx(0.1))
     assert advice in json.loads(output.read_text(encoding="utf-8"))["advice"]
-
-
-def test_a_file_without_a_motion_has_nothing_to_compare(static):
-    done = call("accuracy", static)
-    assert (done.status, done.out) == (2, "")
-    assert "no motion to integrate" in done.said
 
 
 def test_a_design_instead_of_a_scene(static, tmp_path):
@@ -115,41 +107,6 @@ def test_the_table_has_every_quantity_that_matters_in_order_of_size(file, saved)
     assert ("value 0" in out, " 0 s^2/m^2 │" in out) == (True, True)
 
 
-def test_an_optimum_that_is_not_unique_is_printed_with_a_note(file):
-    free = '"scene.stiffness" = { lower = "1 kN/m", upper = "9 kN/m" }\n"share.wedge'
-    flat = file.with_name("flat.toml")
-    text = changed(('stiffness = "60 kN/m"\n', ""), ('"share.wedge', free), text=TEXT.replace("\nmean_defl", "\n#"))
-    flat.write_text(text, encoding="utf-8")
-    done = call("optimise", flat, "--sensitivity", "--search", "8", "-v")
-    assert done.status == 0
-    stages = [line.split(" s  ")[1] for line in done.err.splitlines()]
-    assert all(one != two for one, two in pairwise(stages))  # each once, however often it is reported
-    # Parameters instead of numbers round otherwise, which may change the number of designs along the flat direction.
-    assert str(po.read_problem(flat).optimise(search=8)[0].search).partition(" tried")[2] in done.out
-    assert "not unique" in done.out
-    assert "note: no sensitivities: the optimum is not unique" in done.said
-    assert "one per cent" not in done.out
-
-
-def test_no_range_leaves_the_models_domain():
-    """Half a revolution of friction or a chisel of 103 degrees is neither soil nor share, whatever the slopes say."""
-    short = ("--set", "scene.duration=0.5 s", "--search", "near")
-    saved = json.loads(printed("optimise", SUBSOILER, "--sensitivity", "--json", *short))
-    ends = {item["name"]: (item["valid_from"], item["valid_to"], item["then"]) for item in saved["sensitivities"]}
-    assert len(ends) > 10
-    reached = 0
-    for name, (low, high, then) in ends.items():
-        quantity = QUANTITIES.get(name.partition(" ")[0])
-        if quantity is None:
-            continue
-        for end, side, limit in ((low, then[0], quantity.low), (high, then[1], quantity.high)):
-            assert end is None or quantity.low <= end <= quantity.high, name
-            if side == "the model's domain ends":
-                reached += 1
-                assert end == limit
-    assert reached > 0
-
-
 # --- `plough-opt sweep`: tables, resumption, Ctrl-C and failures ---
 
 SWEPT = ("--set", "scene.duration=0.2 s", "--set", "scene.outputs=40")
@@ -213,20 +170,6 @@ def test_ctrl_c_leaves_a_file_that_goes_on(tmp_path):
     other = call(*command, "--set", "scene.frame_mass=25 kg")
     assert (other.status, "belongs to another sweep, of another problem" in other.said) == (2, True)
     assert table.read_bytes() == before
-
-
-def test_failures_are_reported(tmp_path):
-    over = ("--over", "share.height=0.12..0.13 m", "--samples", "5", "--set", "effects.motion=false", "--optimise")
-    table = tmp_path / "table.csv"
-    done = call("sweep", REFERENCE, *over, "--workers", "1", "--csv", table)
-    assert done.status == 1
-    assert "5 points, 5 failed" in done.out
-    assert len(re.findall(r"failed at height 0.12[0-9]* m: .*'loosened_radius'", done.out)) == 3
-    assert "and 2 more failed" in done.out
-    assert table.read_text().count("'loosened_radius'") == 5
-    assert "note: 'share.height' is a variable of the file: every point fixes it" in done.err
-    assert "note: 5 samples are not a power of two" in done.err
-    assert "no solution: every point failed" in done.err
 
 
 # --- `plough-opt tradeoff`, and the [trade_off] table of a problem file ---

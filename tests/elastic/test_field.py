@@ -127,39 +127,7 @@ def test_at_rest_derivatives_are_finite_and_even_in_speed(kind, symbol):
     cases.assert_derivatives(found, wanted, size, field.names, field.derivatives, [0, 1, 3, 6])
 
 
-# --- boundary conditions ---------------------------------------------------------------------------------------------
-
-
-@bodies
-@pytest.mark.parametrize("speed", [0.0, 0.3, 0.9274])
-def test_boundary_conditions_on_the_plane_of_symmetry_of_a_wedge(body, speed):
-    """The soil is displaced by the half thickness, without shear; ahead of and behind the body the plane stays flat."""
-    x = np.array([-5.0, -0.3, 0.01, 0.15, 0.22, 0.35, 0.47, 0.6, 0.71, 3.0])
-    values = inputs(x, np.zeros_like(x), body, speed)
-    positions, thicknesses = [0.0, *BODIES[body][0]], [0.0, *BODIES[body][1]]
-    slopes = np.array([0.0, *np.diff(thicknesses) / np.diff(positions), 0.0])
-    field = cases.wedge(*values)
-    half_thickness = np.interp(x, positions, thicknesses)
-    # The terms that are added are lengths of up to 5 m times a slope of 0.1.
-    np.testing.assert_allclose(field.uy, half_thickness, rtol=0, atol=8 * EPS * 0.5)
-    np.testing.assert_allclose(field.uy_x, slopes[np.searchsorted(positions, x)], rtol=0, atol=4 * EPS)
-    np.testing.assert_allclose(field.xy, 0.0, atol=4 * EPS * MU)
-    # At the nodes, where the strains are infinite, the displacement is still the half thickness.
-    soil, V0 = ground(speed)
-    moved = po.elastic.wedge_displacement(np.array(positions), np.zeros(len(positions)), nodes_of(values), soil, V0)
-    np.testing.assert_allclose(moved, thicknesses, rtol=0, atol=8 * EPS * 0.5)
-
-
 # --- invariances and special speeds ----------------------------------------------------------------------------------
-
-
-@bodies
-def test_upper_and_lower_half_of_a_wedge_mirror_each_other(body):
-    for x, y in FIELDS["wedge"].points.values():
-        above, below = cases.wedge(*inputs(x, y, body)), cases.wedge(*inputs(x, -y, body))
-        for name in FIELDS["wedge"].names:
-            sign = -1.0 if name in ("xy", "ux_y", "uy_x", "uy") else 1.0
-            assert getattr(above, name) == sign * getattr(below, name), name
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.25, 0.3, 0.49])
@@ -348,34 +316,6 @@ def test_force_on_any_wedge_against_precise_integration(body, speed, ambient_pre
         assert force == pytest.approx(float(wanted), rel=0, abs=4 * EPS * size)
 
 
-# Positions and half thicknesses of nodes whose pressure has an extremum inside a straight piece, the speed, and an
-# ambient pressure that is nearly the negative of that extremum.
-SHORT = [
-    (((0.11, 0.38, 0.57), (0.024, 0.047, 0.045)), 0.95),
-    (((0.2, 0.38), (0.017, 0.056)), 0.1),
-    (((0.16, 0.38, 0.62), (0.004, 0.034, 0.043)), 0.1),
-]
-
-
-@pytest.mark.parametrize("body", [SHORT[0], *slow(SHORT[1:])], ids=str)
-def test_contact_lost_or_kept_on_a_short_part_of_a_piece(body):
-    body, speed = body
-    nodes = nodes_of(inputs(0, 0, body))
-    soil, V0 = ground(speed)
-    turning = []
-    for (a, _), (b, _) in itertools.pairwise(nodes):
-        pressure = po.elastic.wedge_pressure(np.linspace(a, b, 1001)[1:-1], nodes, soil, V0)
-        slopes = np.diff(pressure)
-        turning += list(pressure[1:-1][slopes[1:] * slopes[:-1] < 0.0])
-    ambient = [-p * part for p in turning for part in (0.7, 0.95, 1.05) if p < 0.0]
-    assert ambient
-    for ambient_pressure in ambient:
-        exact = precise_wedge_force(body, speed, float(ambient_pressure))
-        soil, _ = ground(speed, ambient_pressure=float(ambient_pressure))
-        force = po.elastic.wedge_force(nodes, soil, V0)
-        assert force == pytest.approx(float(exact), rel=0, abs=4 * EPS * thrust(body, speed)), ambient_pressure
-
-
 # Hundreds of roundings, and fifty times the rounding of the speed: 95 m/s is 2 % above the Rayleigh speed.
 FORCES = 1e-12
 
@@ -506,14 +446,6 @@ def test_knots_converge_with_the_square_of_their_number(field, profile):
 
 def waved(x=0.2, y=0.1, profile=PROFILES["straight"], length=LENGTH, order=12):
     return [getattr(fourier, field)(x, y, profile, length, *ground(), order) for field in INTEGRALS]
-
-
-def test_the_integrals_take_floats_and_planes():
-    x, y = np.meshgrid([0.1, 0.3, 0.7], [0.2, 0.4])
-    plane, single = waved(x, y)[2].rr, waved(0.3, 0.4)[2].rr
-    assert plane.shape == (2, 3)
-    assert isinstance(single, float)
-    assert plane[1, 1] == pytest.approx(single, rel=0, abs=1e-14 * MU)
 
 
 test_integrals_and_knots_refuse_what_they_cannot_handle = refusals(

@@ -48,21 +48,6 @@ def test_it_compiles_without_a_warning_and_keeps_to_4_ulp_unoptimised(with_colum
     assert int(re.search(r"at most (\d+) ulp", done.stdout)[1]) <= 4
 
 
-def test_the_test_can_fail(with_columns, tmp_path):
-    """One expected number moved by five in the last place."""
-    folder = write_c(with_columns, tmp_path / "c")
-    source = folder / "double_test.c"
-    head, middle, rest = re.fullmatch(
-        r"(.*outputs\[POINTS\].*?)(0x[0-9a-fp.+-]+)(.*)", source.read_text(), re.DOTALL
-    ).groups()
-    value = float.fromhex(middle)
-    source.write_text(f"{head}{(value + 5 * np.spacing(value)).hex()}{rest}")
-    done = _compiled(folder, "double", "-O0", "-ffp-contract=off")
-    assert done.returncode == 1
-    assert "output 0 at point 0" in done.stdout
-    assert "at most 5 ulp" in done.stdout
-
-
 def _library(folder):
     """Return a written component as a shared library."""
     flags = ("-shared", "-fPIC", "-O0", "-ffp-contract=off")

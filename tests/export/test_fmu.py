@@ -7,7 +7,6 @@ import re
 import subprocess
 import zipfile
 from pathlib import Path
-from xml.etree import ElementTree
 
 import casadi as ca
 import numpy as np
@@ -19,7 +18,6 @@ from helpers.linear_motion import released
 from helpers.scenes import Shank, scene_of
 
 import plough_opt as po
-from plough_opt.core.expressions import exp
 from plough_opt.exchange.building import NamedScene
 from plough_opt.export import write_fmu
 
@@ -359,11 +357,6 @@ def test_parameters_outside_their_domain_are_refused(fmu, name, value, words):
     made.freeInstance()
 
 
-def test_a_retreating_share_is_logged(tmp_path, capsys):
-    simulated(write_fmu(fmu_scene(start="rest"), tmp_path / "share.fmu"), 0.2)
-    assert "[WARNING] the share retreats at" in capsys.readouterr().out
-
-
 def test_the_sources_are_all_that_a_compiler_needs(scene, fmu, tmp_path):
     written = write_fmu(scene, tmp_path / "sources.fmu", steel_density=7850.0, binary=False)
     assert validate_fmu(str(written)) == []
@@ -379,26 +372,6 @@ def test_the_sources_are_all_that_a_compiler_needs(scene, fmu, tmp_path):
     ours, theirs = simulated(fmu, 0.3), simulated(folder, 0.3)
     # Other optimisations round otherwise.
     assert np.allclose(ours["mount_force"], theirs["mount_force"], rtol=1e-9, atol=0.0)
-
-
-def test_a_density_profile_has_no_derivatives(tmp_path):
-    soil = po.named_soil("serozem").with_density_profile(
-        lambda r, width: 1450 + 250 * exp(-((r / width) ** 2)), 0.2, order=2
-    )
-    effects = {"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 900.0}
-    written = write_fmu(fmu_scene(**effects, soil=soil), tmp_path / "profile.fmu")
-    assert validate_fmu(str(written)) == []
-    exchange = ElementTree.fromstring(zipfile.ZipFile(written).read("modelDescription.xml")).find("ModelExchange")
-    assert exchange.get("providesDirectionalDerivatives") == exchange.get("providesAdjointDerivatives") == "false"
-    made, references = instance_of(written)
-    made.enterInitializationMode()
-    with pytest.raises(FMICallException):
-        made.getDirectionalDerivative([references["deflection"]], [references["scene.stiffness"]], [1.0])
-    made.freeInstance()
-    wider = po.named_soil("serozem").with_density_profile(soil.density_profile.density, 0.3, order=2)
-    run = po.simulate(fmu_scene(**effects, soil=wider), 0.6, accuracy=po.Accuracy(error=1e-10), outputs=200)
-    found = simulated(written, 0.6, start_values={"soil.density_profile.parameters[1]": 0.3})
-    assert worst(found, run) < WITHIN
 
 
 BAD_EXPORTS = [

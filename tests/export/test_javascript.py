@@ -1,7 +1,6 @@
 """The JavaScript export in node: the numbers are those of Python."""
 
 import json
-import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -77,16 +76,6 @@ def test_wrong_values_are_refused_by_name(around_r1, not_always_finite, tmp_path
     assert infinite == 'RangeError: "logarithm" has no finite value here'
 
 
-@needs_node
-@pytest.mark.parametrize("value", ['"0.2"', "[0.2]", "null", "NaN"])
-def test_values_that_are_no_numbers_are_refused(around_r1, tmp_path, value):
-    path = write_javascript(around_r1, tmp_path / "share.mjs")
-    script = f"""import {{ evaluate }} from "{path.as_uri()}";
-evaluate({{"share.height": {value}}});"""
-    done = subprocess.run([NODE, "--input-type=module", "-e", script], capture_output=True, text=True, check=False)
-    assert re.search("TypeError: share.height = .* is not a finite number", done.stderr)
-
-
 def test_what_has_no_javascript_form_is_refused_by_name(r1_scene, r1_wave, tmp_path):
     scene = r1_scene(orbit="periodic", strength_wave=r1_wave, damping=400.0)
     orbit = po.component(scene, inputs=["scene.stiffness"], outputs=["force_rms"])
@@ -96,37 +85,3 @@ def test_what_has_no_javascript_form_is_refused_by_name(r1_scene, r1_wave, tmp_p
     with pytest.raises(InputError, match="the operation 'erf' has no JavaScript form: use another"):
         Source("use another").add(ca.Function("f", [x], [ca.erf(x)]))
     assert not list(tmp_path.iterdir())
-
-
-X, Y = ca.MX.sym("x", 4), ca.MX.sym("y", 2, 3)
-MATRICES = {
-    "transpose": Y.T,
-    "elements": X[[0, 3, 2]],
-    "rows": Y[:, [0, 2]],
-    "every other": X[::2],
-    "stacked": ca.vertcat(X, Y[:, 1], 2.0 * X),
-    "product": Y.T @ X[:2],
-    "product of a sparse one": Y @ ca.sparsify(ca.DM([[1.0, 0.0], [0.0, 0.0], [0.0, 3.0]])),
-    "scalar and matrix": X[0] / Y - 3.0 * Y,
-    "choice": ca.if_else(Y[0, 1] < X, X * X, -X),
-    "sum of products": ca.dot(X, X),
-    "split": ca.horzsplit(Y * 2.0)[1],
-    "repeated": ca.repmat(X, 1, 3),
-    "reshaped": ca.reshape(Y * Y, 3, 2),
-}
-
-
-@needs_node
-def test_operations_on_matrices(tmp_path):
-    """Each is compared with CasADi's own result at one seeded point."""
-    functions = {name: ca.Function("f", [X, Y], [ca.densify(value)]) for name, value in MATRICES.items()}
-    source = Source("use another")
-    names = [source.add(function) for function in functions.values()]
-    random = np.random.default_rng(7)
-    at = random.normal(size=4), random.normal(size=(2, 3))
-    arguments = json.dumps([one.ravel(order="F").tolist() for one in at])
-    script = f"{source}\nconsole.log(JSON.stringify([{', '.join(names)}].map((f) => f(...{arguments})[0])));"
-    (tmp_path / "all.mjs").write_text(script, encoding="utf-8")
-    done = subprocess.run([NODE, tmp_path / "all.mjs"], capture_output=True, text=True, check=True)
-    for found, (name, function) in zip(json.loads(done.stdout), functions.items(), strict=True):
-        assert found == pytest.approx(function(*at).full().ravel(order="F"), rel=1e-14), name

@@ -128,10 +128,3 @@ def test_outside_the_bounds_and_without_a_finite_result_is_an_analysis_error(aro
     problem["share_height"] = 0.24
     with pytest.raises(om.AnalysisError, match="'logarithm' has no finite value"):
         problem.run_model()
-
-
-@pytest.mark.parametrize("name", ["json", "class", "any"])
-def test_a_reserved_name_is_refused(small, tmp_path, name):
-    with pytest.raises(po.InputError, match=f"a module cannot be named '{name}'"):
-        write_openmdao(small(name), tmp_path / "new")
-    assert not (tmp_path / "new").exists()

@@ -115,14 +115,6 @@ def test_an_independent_solver_agrees_at_the_ends(name):
         assert_finite(three_modes.agreed(scene(**changes), duration, allowed=5e-8, resistance=20.0)[0])
 
 
-@pytest.mark.parametrize("entry", [False, True])
-def test_a_strut_at_rest_does_not_move_a_share_that_sticks(entry):
-    for start in ("rest", "towed", "equilibrium")[: 3 - entry]:
-        run = po.simulate(scene(tow_speed=0.0, contact=po.StickSlip(1.5), start=start, entry=entry), 1.0, outputs=10)
-        assert np.ptp(run.travel) == 0.0
-        assert run.mount_force == pytest.approx(run.scene.reaction.static if start == "equilibrium" else 0.0)
-
-
 # --- events by the thousand ---
 
 

@@ -186,16 +186,6 @@ def test_own_resistances_are_written_from_their_graph(tmp_path, monkeypatch):
     assert_equal(rows, runs_of(problem, model, rows), in_node(model, rows, tmp_path))
 
 
-def test_a_fixed_variable_keeps_its_catalogue_and_bounds(tmp_path):
-    springs = 'log = true, catalogue = ["40 kN/m", "50 kN/m", "80 kN/m"] }'
-    (tmp_path / "file.toml").write_text(changed(("log = true }", springs)), encoding="utf-8")
-    for overrides in ([], ["scene.stiffness=50 kN/m"]):
-        inputs = page_model(po.read_problem(tmp_path / "file.toml", overrides)).data["inputs"]
-        (one,) = [one for one in inputs if one["name"] == "scene.stiffness"]
-        assert (one["steps"], one["lower"], one["upper"]) == ([40e3, 50e3, 80e3], 10e3, 1e6)
-        assert one["variable"] is not bool(overrides)
-
-
 def question():
     """Return a design of the user's own, and its objective and requirements as a function of numbers."""
     design = po.Design()
@@ -252,24 +242,6 @@ def test_values_outside_the_domain_are_refused_in_the_command_lines_words(tmp_pa
         assert str(refused.value).startswith(found)
 
 
-@needs_node
-def test_the_density_ratio_follows_the_compression_test_in_its_range(tmp_path):
-    problem = po.read_problem(SUBSOILER, SCENES["a compression test"])
-    model = page_model(problem)
-    names = [one["name"] for one in model.data["inputs"]]
-    assert "soil.density_ratio" not in names
-    at = names.index("soil.ambient_pressure")
-    one = model.data["inputs"][at]
-    assert (one["lower"], one["upper"]) == (pytest.approx(30e3), pytest.approx(100e3))
-    good = [one["value"] for one in model.data["inputs"]]
-    rows = [[*good[:at], pressure, *good[at + 1 :]] for pressure in (90e3, 24e3, 101e3)]
-    inside, *outside = in_node(model, rows, tmp_path)
-    run = problem.simulate({"soil.ambient_pressure": 90e3})
-    assert inside["mean_draft"] == pytest.approx(run.mean_draft, rel=1e-8)
-    assert outside == [f"ambient pressure = {value} Pa must be {rule} Pa: the compression test goes no further"
-                       for value, rule in ((24000, "at least 25000"), (101000, "at most 100000"))]  # fmt: skip
-
-
 # --- the page's scripts by TypeScript's checker and ESLint, where npm is ---
 
 TOOLS = ("typescript@5.9", "eslint@9", "@eslint/js@9")
@@ -316,9 +288,3 @@ def test_types_agree(tools, scope):
 @pytest.mark.thorough
 def test_no_rule_is_broken(tools):
     assert said(tools, "eslint", *(name for scripts, _ in SCOPES.values() for name in scripts)) == ""
-
-
-def test_own_scripts_weigh_less_than_150_kilobytes_and_fit_a_screen():
-    own = {asset(name) for scripts, _ in SCOPES.values() for name in scripts}
-    assert sum(len(text.encode()) for text in own) < 150e3
-    assert [line for text in own for line in text.splitlines() if len(line) > 160] == []

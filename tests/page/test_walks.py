@@ -11,9 +11,6 @@ from helpers.commands import printed
 from helpers.problem_files import PROBLEMS, STATIC, SUBSOILER, changed
 
 import plough_opt as po
-from plough_opt.app import page_model
-
-FIELD = PROBLEMS / "field.toml"
 
 HOSTILE = "</script><script>document.title='broken'</script> <img src=x onerror=alert(1)>"
 SPRINGS = 'catalogue = ["40 kN/m", "50 kN/m", "63 kN/m", "80 kN/m"]'
@@ -118,20 +115,6 @@ def test_values_are_typed_with_a_decimal_comma_and_wrong_ones_named_and_kept_in_
     assert (walk.locator(".wrong:not(:empty)").count(), field.get_attribute("aria-invalid")) == (0, "false")
     assert walk.locator("#table thead").inner_text().split("\t")[1].strip() == "now"
     assert walk.get_by_role("button", name="CSV", exact=True).is_enabled()
-
-
-@pytest.mark.parametrize("function", ["evaluate", "set"])
-def test_scripts_are_told_what_is_wrong(walk, function):
-    ask = f"v => ploughOpt.{function}(v).then(() => '', (error) => `${{error.name}}: ${{error.message}}`)"
-    before = state(walk)
-    assert walk.evaluate(ask, {"share.hight": 0.3}).startswith('RangeError: there is no quantity "share.hight"')
-    for value, text in (("2", '"2"'), ([2], "2"), (None, "null"), (True, "true")):
-        assert walk.evaluate(ask, {"share.height": value}).startswith(
-            f"TypeError: share.height = {text} is not a finite"
-        )
-    assert state(walk) == before
-    assert "share height = -1 m must be above 0 m" in walk.evaluate(ask, {"share.height": -1})
-    assert walk.evaluate(ask, {"share.height": 0.3}) == ""
 
 
 def test_a_design_of_the_landscape_is_taken_by_a_click_and_left_by_going_back(walk):
@@ -245,22 +228,6 @@ def test_a_link_opens_the_same_design(walk, opened, written):
     assert command.endswith("--set 'scene.tow_speed=\"9 km/h\"'")
 
 
-def test_two_pages_in_one_browser_do_not_meddle(walk, written):
-    other = walk.context.new_page()
-    other.goto(written.as_uri())
-    other.wait_for_selector("#explore[data-ready]", state="attached")
-    drafts = []
-    for page, height in ((walk, 0.2), (other, 0.35), (walk, 0.22)):
-        page.evaluate("height => ploughOpt.set({ 'share.height': height })", height)
-        drafts.append((state(walk)["share.height"], state(other)["share.height"], cell(page, "mean draft")))
-    problem = po.read_problem(SUBSOILER)
-    best = {name: state(walk)[name] for name in ("share.wedge_angle", "scene.stiffness")}
-    wanted = [problem.simulate(best | {"share.height": height}).mean_draft for height in (0.2, 0.35, 0.22)]
-    assert [text for *_, text in drafts] == [f"{draft / 1e3:.4g} kN" for draft in wanted]
-    assert [pair for *pair, _ in drafts[1:]] == [[0.2, 0.35], [0.22, 0.35]]
-    other.close()
-
-
 def test_a_local_search_improves_and_says_what_it_is(walk):
     walk.evaluate("ploughOpt.set({ 'share.wedge_angle': 0.6, 'share.height': 0.35, 'scene.stiffness': 1e5 })")
     settled(walk)
@@ -294,11 +261,6 @@ def test_what_is_downloaded_can_be_read(walk, tmp_path):
     assert np.array(corners, dtype=float) == pytest.approx(1e3 * mesh.vertices[mesh.triangles.ravel()], rel=1e-5)
 
 
-def test_labels_of_the_motion_say_that_it_has_no_random_strength():
-    assert page_model.without_random(po.read_problem(FIELD)).strip() == "without random strength"
-    assert page_model.without_random(po.read_problem(SUBSOILER)) == ""
-
-
 def test_hostile_names_are_texts(walk):
     assert walk.title().startswith("</script>")
     assert walk.locator("h1").inner_text() == HOSTILE
@@ -312,22 +274,6 @@ def test_a_phone_in_the_dark_and_paper_show_the_page(opened, written):
     page.emulate_media(media="print")
     assert not page.locator("#explore").is_visible()
     assert page.locator("#answer").is_visible()
-
-
-@pytest.mark.slow
-def test_a_thousand_moves_leave_memory_flat(walk):
-    """The heap after 1,000 moves is that after 200, within the size of a few runs."""
-    session = walk.context.new_cdp_session(walk)
-
-    def after(count):
-        walk.evaluate("""async (count) => {
-          for (let k = 0; k < count; k++) await ploughOpt.set({ "share.height": 0.2 + 0.0001 * (k % 100) });
-        }""", count)  # fmt: skip
-        session.send("HeapProfiler.collectGarbage")
-        return walk.evaluate("performance.memory.usedJSHeapSize")
-
-    first = after(200)
-    assert after(800) < first + 5e6
 
 
 def test_without_scripts_the_report_is_readable(browser, written):

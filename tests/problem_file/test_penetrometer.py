@@ -115,12 +115,6 @@ def test_what_contradicts_itself_is_refused(write, changes, words):
         po.read_problem(write(**changes))
 
 
-def test_some_insertions_have_no_distribution():
-    for insertions, words in (([1e6, 2e6], "needs 3 insertions, but .* has 2"), ([1e6] * 3, "nothing is uncertain")):
-        with pytest.raises(po.InputError, match=words):
-            po.Penetrometer("field.csv", insertions).distribution()
-
-
 # --- a file's cone index is measured: whatever else varies or is uncertain, the soil keeps it ---
 
 SEROZEM = 'name = "serozem"\n'
@@ -225,7 +219,6 @@ def test_compression_tests_that_contradict_the_file_are_refused(refusal, change,
 # --- random strength in problem files: as quantities or a record, in every question that takes a result ---
 
 GIVEN = 'random_strength = { rms = 0.2, correlation_length = "0.3 m" }'
-NAMES = ("stationary_force_rms", "stationary_displacement_rms")
 WAVE = 'strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }'
 
 
@@ -247,33 +240,6 @@ def test_a_record_becomes_its_spectrum(read, record):
     broad = read(written('random_strength = { record = "record.csv", base_diameter = "0.5 m" }')).scene()
     assert broad.effects.random_strength.wave_number[-1] <= 4.0 * math.pi
     assert broad.stationary_force_rms < scene.stationary_force_rms
-
-
-def test_it_is_a_column_of_sweeps_and_an_output_of_components(read, inline):
-    problem = read(written(), "scene.duration=0.2 s", "scene.outputs=20")
-    over = {"effects.random_strength.rms": [0.1, 0.2], "scene.stiffness": [4e4, 8e4]}
-    tables = [po.sweep(problem, over, method=method, executor=inline).table for method in ("each", "batch")]
-    made = problem.component([*over], [*NAMES])
-    for k in range(4):
-        at = {name: tables[0][k][name] for name in over}
-        scene = problem.scene(at)
-        for found in (*(tuple(table[k][name] for name in NAMES) for table in tables), made(*at.values())):
-            assert found == pytest.approx(tuple(getattr(scene, name) for name in NAMES), rel=1e-10)
-
-
-def test_it_is_a_measure_of_an_uncertain_soil(read):
-    """Over samples of the soil its mean is that of the closed form in each of them."""
-    uncertain = "\n[uncertain]\nsamples = 8\nfresh = 100\nsoil.cohesion = "
-    uncertain += '{ distribution = "normal", mean = "20 kPa", std = "3 kPa" }\n'
-    still = ('damping = "400 N*s/m"', "motion = false"), ('deflection      = { at_most = "0.12 m" }', "")
-    problem = read(written(GIVEN, *still) + uncertain)
-    found = optimise_robust(problem, lambda *_: None)
-    at = found.best.variables
-    field = distribution_of(problem.table.uncertain, problem.scene().soil)
-    scenes = [problem.scene({**at, "soil.cohesion": k}) for k in field.values(8, seed=1).ravel().tolist()]
-    expected = [scene.stationary_force_rms for scene in scenes]
-    draft = [scene.steady_resistance for scene in scenes]
-    assert found.best.objective == pytest.approx((np.mean(draft) + np.mean(expected)) / 1e3, rel=1e-8)
 
 
 @pytest.mark.parametrize(("given", "words", "places"), refused_files()["strength"])

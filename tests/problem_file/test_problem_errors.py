@@ -35,11 +35,6 @@ def test_a_file_without_a_table_that_it_needs_is_refused(refusal):
     assert "share.toml: 'scene' is missing" in refusal('[soil]\nname = "serozem"\n')
 
 
-def test_a_variable_whose_dots_are_not_quoted_is_read_all_the_same(read):
-    names = ("share.wedge_angle", "share.height", "scene.stiffness")
-    assert {*read(changed(*((f'"{name}"', name) for name in names))).variables} == {*names}
-
-
 @pytest.mark.parametrize(("places", "fragment", "piece"), WRONG["forms"])
 def test_a_key_is_found_in_any_form(blames, places, fragment, piece):
     blames("# a\u0085comment\u2028\n\n# = [not] a key\n" + changed(*places), fragment, piece)
@@ -96,8 +91,6 @@ def test_a_file_can_run_no_code(tmp_path, monkeypatch, refusal, place):
     assert not (tmp_path / "ran").exists()
 
 
-# --- decimal commas, other spellings of columns, keys and units, and changes that an engineer should hear about ---
-
 # --- decimal commas ---
 
 
@@ -117,18 +110,6 @@ def test_a_decimal_comma_on_the_command_line_is_named(arguments, pieces):
     assert [piece for piece in pieces if piece not in done.said] == [], done.said
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "number"),
-    [
-        ("amplitude = 0.3", "amplitude = 0,3", "0.3"),
-        ('mean_draft = { per = "1 kN" }', "mean_draft = { per = 1,5 }", "1.5"),
-        ('duration = "2 s"', "duration = -2,25", "-2.25"),
-    ],
-)
-def test_a_decimal_comma_outside_quotes_is_named_with_its_line(blames, old, new, number):
-    blames(changed((old, new)), new, "comma", number)
-
-
 READINGS = [(0.0, 244.5, 251.0), (25.0, 644.25, 612.5), (50.0, 1033.0, 998.5)]
 
 
@@ -146,27 +127,6 @@ def test_semicolon_files_may_have_decimal_commas(tmp_path):
     for mark, comma in ((";", ","), (";", "."), ("\t", ".")):
         found = po.read_penetrometer(written(tmp_path, heading, mark, comma), (0.1, 0.4))
         assert found.insertions.tolist() == expected
-
-
-@pytest.mark.parametrize(
-    ("text", "pieces"),
-    [
-        ("depth [cm],cone_index [kPa]\n0,0,244,5\n", ("line 2", "semicolons", "commas")),
-        ('depth [cm],cone_index [kPa]\n0,"244,5"\n', ("line 2", "comma", "point", "semicolons")),
-        ("depth [cm]\tcone_index [kPa]\n0\t244,5\n", ("line 2", "comma", "point", "semicolons")),
-        ("depth [cm];cone_index [kPa]\n0,5;244\n10;300.5\n", ("line 2", "line 3", "comma", "point")),
-        ("depth [cm];cone_index [kPa]\n0;1.244,5\n", ("line 2", "1.244,5")),
-        # Of other columns the nearest by name is proposed.
-        ("Tiefe [cm],cone_index [kPa]\n0,244\n", ("valid names: cone_index, depth",)),
-        ("dept [cm],cone_index [kPa]\n0,244\n", ("did you mean 'depth'",)),
-    ],
-)
-def test_other_files_are_refused_with_the_remedy(tmp_path, text, pieces):
-    path = tmp_path / "readings.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(po.InputError) as caught:
-        po.read_penetrometer(path, (0.0, 0.1))
-    assert [piece for piece in pieces if piece not in str(caught.value)] == [], caught.value
 
 
 # --- names of columns and keys, and units ---
@@ -191,22 +151,6 @@ def test_columns_are_recognised_however_they_are_spelt(tmp_path, heading):
 )  # fmt: skip
 def test_a_key_without_its_table_proposes_the_whole_key(key, full):
     assert f"did you mean '{full}'" in call("check", SUBSOILER, "--set", f"{key}=2").said
-
-
-def test_units_of_every_trade_are_read_or_listed():
-    for written_as, si in (("0.5 bar", 5e4), ("10 psi", 68947.57293168363), ("2 kgf/cm^2", 196133.0)):
-        found = po.read_problem(SUBSOILER, [f"soil.cohesion={written_as}"]).fixed["soil.cohesion"]
-        assert found == pytest.approx(si, rel=1e-12)
-    assert po.read_problem(SUBSOILER, ["share.chisel_angle=15°"]).scene().share.chisel_angle == po.deg(15.0)
-    assert po.read_problem(SUBSOILER, ["share.height=11 in"]).fixed["share.height"] == pytest.approx(0.2794)
-    assert po.read_problem(SUBSOILER, ["scene.stiffness=5 tf/m"]).fixed["scene.stiffness"] == pytest.approx(49033.25)
-    said = call("check", SUBSOILER, "--set", "scene.stiffness=5 tonf/m").said
-    assert '"tf"' in said
-    assert "lbf" in said
-    for key, unit, listed in (("share.height", "zoll", ("in", "cm", "mm")), ("soil.cohesion", "xyz", ("bar", "psi"))):
-        names = call("check", SUBSOILER, "--set", f"{key}=3 {unit}").said.partition("valid names: ")[2].split(", ")
-        assert {*listed} <= {*names}
-        assert "km/h" not in names
 
 
 # --- changes that deserve a note ---

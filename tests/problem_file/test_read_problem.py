@@ -100,12 +100,6 @@ def test_effects_accuracy_and_outputs_reach_the_simulation(read):
     np.testing.assert_allclose(run.time, np.linspace(0.0, 1.0, 9), atol=1e-15)
 
 
-def test_a_guess_left_out_is_the_middle_of_its_bounds_geometric_on_a_log_scale(read):
-    scene = read(changed((', guess = "25 deg"', ""), (', guess = "50 kN/m"', ""))).scene()
-    assert scene.share.angle == pytest.approx(32.5 * DEG)
-    assert scene.stiffness == pytest.approx(100e3)
-
-
 COURSE = '{ time = ["0 s", "500 ms", "2 s"], speed = ["3.6 km/h", "2.5 m/s", "2 m/s"] }'
 
 

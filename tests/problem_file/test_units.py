@@ -171,29 +171,6 @@ def test_a_change_that_cannot_be_is_blamed_and_not_the_file(refusal, override, p
     assert [piece for piece in pieces if piece not in message] == [], message
 
 
-def test_a_change_is_short_and_printable(refusal):
-    for override, expected in (
-        (f"title={'x' * 3000}", "at most 2000 characters can be read"),
-        (f"title={'[' * 900}{']' * 900}", "more than 8 deep"),
-        ("title=a\x07b", "'title' holds U+0007"),
-        ("title=a\udcff", "holds U+DCFF"),
-    ):
-        assert expected in refusal(COTTON, override)
-
-
-def test_a_variable_that_is_fixed_and_then_bounded_is_blamed_on_the_bound(refusal):
-    message = refusal(COTTON, "share.height=0.3 m", "variables.share.height.upper=0.6 m")
-    assert message == "--set variables.share.height.upper=0.6 m: 'variables.share.height.lower' is missing: set it too"
-
-
-def test_a_change_is_not_blamed_for_a_mistake_of_the_file_in_the_same_table(refusal):
-    for place, override, mistake in (
-        (('tow_speed = "7.2 km/h"\n', ""), "scene.duration=1 s", "line 9: 'tow_speed' is missing"),
-        (('upper = "0.5 m"', 'upper = "0.05 m"'), "variables.share.height.log=true", "line 21: 'share.height': its"),
-    ):
-        assert refusal(changed(place), override).startswith(f"share.toml, {mistake}")
-
-
 # --- the JSON schema of problem files against an independent validator, and against what reading a file refuses ---
 
 SCHEMA = json.loads(printed("init", "--schema"))

@@ -119,15 +119,19 @@ def optimise(options: argparse.Namespace) -> None:
         _optimise_robust(problem, options)
         return
     with progress() as notify:
-        how: dict[str, Any] = {"search": _search_of(options.search), "seed": options.seed}
-        best, run = problem.optimise(notify, parameters=options.sensitivity, **how)
+        search = _search_of(options.search)
+        best, run = problem.optimise(notify, parameters=options.sensitivity, search=search, seed=options.seed)
         found, unknown = tables.sensitivities_of(best, notify) if options.sensitivity else ((), "")
     if unknown:
         LOG.info("note: no sensitivities: %s", unknown)
     best = replace(best, sensitivities=found)
     page = best.page()
-    page = replace(page, parts=(*page.parts, *tables.further_results(problem, run)))
-    page = tables.with_sensitivities(page, problem, found)
+    parts = (*page.parts, *tables.further_results(problem, run))
+    if found:
+        parts = (*parts, tables.sensitivity_table(problem, found))
+    met = dict.fromkeys(name for item in found for name in item.touching)
+    notes = (*page.notes, *(f"{name} is just met: the figures apply to increasing values" for name in met))
+    page = replace(page, parts=parts, notes=notes)
     give(options, page, lambda: best.to_json(page), best.plot, best.to_dataframe)
 
 

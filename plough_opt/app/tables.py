@@ -207,15 +207,6 @@ def sensitivities_of(best: Optimum, notify: Progress) -> tuple[tuple[Sensitivity
         return (), str(error)
 
 
-def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity]) -> Page:
-    """Return a page extended by the sensitivities, if there are any."""
-    if not found:
-        return page
-    met = dict.fromkeys(name for item in found for name in item.touching)
-    notes = (f"{name} is just met: the figures apply to increasing values" for name in met)
-    return replace(page, parts=(*page.parts, sensitivity_table(problem, found)), notes=(*page.notes, *notes))
-
-
 def sensitivity_table(problem: Problem, found: Sequence[Sensitivity]) -> Grid:
     """Return a table of elasticities and of the range over which the same limits are active."""
     names = [key.rpartition(".")[2] for key in problem.variables]

@@ -103,12 +103,12 @@ class SoilDistribution:
     @cached_property
     def moments(self) -> dict[str, tuple[float, float]]:
         """Property -> its mean and standard deviation, SI, by quadrature over the probability."""
-        found = {}
+        moments = {}
         for name, quantile in self._quantiles.items():
             mean = float(integrate.tanhsinh(quantile, 0.0, 1.0).integral)
             variance = integrate.tanhsinh(lambda u, q=quantile, m=mean: (q(u) - m) ** 2, 0.0, 1.0).integral
-            found[name] = mean, math.sqrt(float(variance))
-        return found
+            moments[name] = mean, math.sqrt(float(variance))
+        return moments
 
     def sample(self, count: int, *, seed: int = 0, independent: bool = False) -> tuple[Soil, ...]:
         """Return soils of equal probability; the arguments are those of `values`.

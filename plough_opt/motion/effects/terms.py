@@ -5,49 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol, cast
+from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
 
 from plough_opt.core.checks import LEAST, check_domain
 from plough_opt.core.expressions import Expression, as_number, maximum, minimum, sin, where
 from plough_opt.core.quantities import read_fields
-from plough_opt.laws.law import SoilReaction
-from plough_opt.soil.geometry import Cone
 from plough_opt.soil.strength import StrengthWave
 
 Parameters = Mapping[str, Expression]
 """Parameters of an equation of motion by name: numbers or symbols."""
 
 
-class Towed(Protocol):
-    """Attributes of a scene that effects and the equation of motion read."""
-
-    @property
-    def effects(self) -> Any:
-        """`Effects` of the scene."""
-
-    @property
-    def cone(self) -> Cone:
-        """Equivalent cone of the share."""
-
-    @property
-    def reaction(self) -> SoilReaction:
-        """Reaction of the soil."""
-
-    @property
-    def restoring_stiffness(self) -> Expression:
-        """Force of the spring per unit of deflection [N/m]."""
-
-    @property
-    def inertia(self) -> Expression:
-        """Moving mass with the soil that it carries along [kg]."""
-
-    @property
-    def mass(self) -> Expression:
-        """Moving mass without soil [kg]."""
-
-    @property
-    def tow_speed(self) -> Expression:
-        """Speed of the strut [m/s]."""
+Towed: TypeAlias = Any
+"""A `Scene`, whose module imports this one."""
 
 
 @dataclass(frozen=True)

@@ -127,8 +127,6 @@ def check_outputs(options: argparse.Namespace) -> None:
         around = next(folder for folder in (place.parent, *place.parents) if folder.exists())
         if not around.is_dir():
             raise InputError(f"--{name} '{written}' cannot be written: '{around}' is not a folder")
-        if name == "store" and place.is_file():
-            continue  # a store that is already complete is only read, so it may be write-protected
         # An existing file is replaced by a new one, so its folder must be writable too.
         if not os.access(around, os.W_OK) or (place.is_file() and not os.access(place, os.W_OK)):
             raise InputError(f"--{name} '{written}' cannot be written: permission denied")

@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from plough_opt.design.search.effort import Search
     from plough_opt.problem_file.sweep import What
     from plough_opt.studies.calibration import Fit, Measurements
-    from plough_opt.studies.calibration.fit import HeldOut
 
 
 _DESIGNS: Final = {
@@ -488,15 +487,15 @@ def calibrate(options: argparse.Namespace) -> None:
         held = _held_out(fit, options) if options.hold_out is not None else None
         text = fit.to_json() if options.json or options.output is not None else ""
         if held is not None and text:
-            text = json_text(json.loads(text) | {"held_out": held.plain()})
+            text = json_text(json.loads(text) | {"held_out": json.loads(held.to_json())})
         page = fit.page()
     if held is not None:
         page = replace(page, parts=(*page.parts, held.words()))
     give(options, page, lambda: text, fit.plot if held is None else held.plot, fit.to_dataframe)
 
 
-def _held_out(fit: Fit, options: argparse.Namespace) -> HeldOut:
-    """Return the predictions of the part of the rows that the options hold out."""
+def _held_out(fit: Fit, options: argparse.Namespace) -> Fit:
+    """Return the fit without the rows that the options hold out, which it predicts."""
     written = options.hold_out.strip()
     try:
         part = float(Fraction(written.removesuffix("%").strip())) / (100.0 if written.endswith("%") else 1.0)

@@ -207,10 +207,9 @@ def test_all_optima_are_found_and_close_ones_give_a_warning(measured):
     assert any(text.startswith(f"{near} other local optima fit almost as well") for text in fit.warnings)
 
 
-def test_an_unknown_at_its_bound_gives_a_warning(measured, three):
+def test_the_interval_of_an_unknown_at_its_bound_ends_there(measured, three):
     fit = po.calibrate(steady_scene(), measured, three | {"soil.tool_friction": (0.7, 1.5)})
     assert fit.values["soil.tool_friction"] == pytest.approx(0.7, abs=1e-6)
-    assert any("soil.tool_friction is at its lower bound 0.7" in warning for warning in fit.warnings)
     interval = fit.intervals()["soil.tool_friction"]
     assert (interval.lower, interval.clipped) == (0.7, ("lower",))
 
@@ -298,7 +297,6 @@ def test_tables_and_files(tmp_path):
     for words in (
         "24 rows of", "│ soil.cohesion ", "│ soil.tool_friction ", "│ effects.rate_term ", "95 % interval",
         "are correlated: -0.9",
-        "an ambient pressure of 101.3 kPa is taken as known",
     ):  # fmt: skip
         assert words in out.replace("\n", " ")
     assert picture.stat().st_size > 10_000

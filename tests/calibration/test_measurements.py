@@ -9,7 +9,7 @@ import pytest
 from scipy import interpolate
 
 import plough_opt as po
-from plough_opt.studies.calibration.model import Rows
+from plough_opt.studies.calibration.model import Model
 
 HEADER = "scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]\n"
 ROWS = "3.6, 40, 3.9, 0.1\n7.2, 40, 4.1, 0.1\n"
@@ -98,8 +98,8 @@ WRONG_FILES = [
     (HEADER + "3.6, 40, ３, 0.1\n", "'３' is not a number"),
     (HEADER + "3.6, 40, 1e308, 0.1\n", "'1e308' is not a finite number"),
     ("mean_draft [kN]; sigma [%]\n1e300; 1e300\n", "sigma = inf must be a finite number"),
-    (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2, column 'sigma [kN]': -0.1 must be above 0"),
-    ("mount_force [N], time [s]\n1, -1\n", "column 'time [s]': -1 must be at least 0"),
+    (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2: sigma = -100 must be above 0"),
+    ("mount_force [N], time [s]\n1, -1\n", "line 2: time = -1 must be at least 0"),
     ("mean_draft [kN]\tsigma [kN]\n4,1\t0,1\n", "'4,1' is not a number: write a decimal point"),
     (f"{HEADER}3.6, 40, {'4' * 10_000}, 0.1\n", "is not a finite number"),
     # nothing
@@ -230,7 +230,7 @@ def test_fitted_runs_are_checked_by_runs_with_an_error_estimate(monkeypatch):
     runs = [po.simulate(dataclasses.replace(fit.scene, tow_speed=v), 30.0).mean_draft for v in speeds]
     error = np.max(np.abs(runs - fit.predicted))
     assert any(f"differ from the fitted ones by up to {error:.2g} standard" in text for text in fit.warnings)
-    monkeypatch.setattr(Rows, "checked", Mock(side_effect=po.IntegrationError("too fast")))
+    monkeypatch.setattr(Model, "checked", Mock(side_effect=po.IntegrationError("too fast")))
     assert "the run of the fitted scene could not be checked: too fast" in calibration.fit().warnings
 
 

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -13,19 +13,17 @@ from plough_opt.core.checks import (
     check_named,
     check_text,
     mapping_of,
+    plain_number,
     whole_number,
 )
 from plough_opt.core.errors import DomainError, InputError, about
 from plough_opt.core.expressions import as_number
 from plough_opt.core.plain_data import Array
-from plough_opt.studies.calibration.fit import Fit, Source
-from plough_opt.studies.calibration.least_squares import NOMINAL, LeastSquares, Predictions, Solution, fitted
+from plough_opt.core.units import in_si
+from plough_opt.studies.calibration.fit import ERRORS, LOSSES, Fit, Source
+from plough_opt.studies.calibration.least_squares import NOMINAL, LeastSquares, Predictions
 from plough_opt.studies.calibration.measurements import Measurements
-from plough_opt.studies.calibration.model import Model, Rows, model_of, predictor
-from plough_opt.studies.calibration.remarks import undetermined, warnings_of
-
-LOSSES: Final = ("squares", "soft_l1")
-ERRORS: Final = ("constant", "relative")
+from plough_opt.studies.calibration.model import Model
 
 
 def calibrate(
@@ -108,18 +106,19 @@ class Calibration:
         check_named("no loss is named {}", loss, LOSSES)
         check_choice("errors", errors, ERRORS)
         self._starts = whole_number("starts", starts, 1, 16)
-        measured = _sets(data)
-        self._model = model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
+        self._sets = _sets(data)
+        self._model = Model.of(given, duration, unknown, {key for m in self._sets for key in m.conditions})
         self._title = title or self._model.title
-        _check_unknowns(self._model, measured)
-        self._sets = tuple(Rows(m, self._model) for m in measured)
-        predictions = Predictions(predictor(self._sets, len(self._model.unknowns)))
-        weights, stated = _weights(measured, relative=errors == "relative")
-        observed = np.concatenate([m.values for m in measured])
-        relative, robust = errors == "relative", loss == "soft_l1"
-        guess = np.array([u.scaled(u.guess) for u in self._model.unknowns])
-        self._problem = LeastSquares(predictions, guess, observed, weights, stated, relative, robust)
-        self._check_rows(measured)
+        _check_unknowns(self._model, self._sets)
+        self._problem = LeastSquares(
+            Predictions(self._model.predictor(self._sets)),
+            self._model.guess,
+            np.concatenate([m.values for m in self._sets]),
+            *_weights(self._sets, relative=errors == "relative"),
+            relative=errors == "relative",
+            robust=loss == "soft_l1",
+        )
+        self._check_rows()
 
     def predict(self, values: Mapping[str, Any]) -> Array:
         """Return the predictions of all rows, SI.
@@ -146,7 +145,11 @@ class Calibration:
             check_named("{} is not an unknown of this calibration", name, unknowns)
         if missing := [name for name in unknowns if name not in values]:
             raise InputError(f"the values lack {', '.join(missing)}: give every unknown a value")
-        y = [float(as_number(u.scaled(u.read(f"'{name}'", values[name])))) for name, u in unknowns.items()]
+        y = []
+        for name, u in unknowns.items():
+            limits = {"above": 0.0, "why": "its bounds make its scale logarithmic"} if u.log else {}
+            value = plain_number(f"'{name}'", in_si(f"'{name}'", values[name], u.unit), u.unit, **limits)
+            y.append(float(as_number(u.scaled(value))))
         return self._problem.predictions(np.array(y))[0]
 
     def fit(self, observed: Array | None = None) -> Fit:
@@ -175,45 +178,21 @@ class Calibration:
             expected = f"observed must be {rows[0]} finite numbers, one for each row"
             values = array_of(observed, expected, lambda array: array.shape == rows and np.all(np.isfinite(array)))
             problem = replace(problem, observed=values)
-        return self._reported(fitted(problem, self._starts), started)
+        solution = problem.fitted(self._starts)
+        return Source(self._title, self._model, self._sets, solution).fit(started)
 
-    def _reported(self, solution: Solution, started: float) -> Fit:
-        """Return the fit of a solution; ``started`` is the value of `time.perf_counter` at its beginning."""
-        unknowns, problem = self._model.unknowns, solution.asked
-        source = Source(self._model, self._sets, solution)
-        slopes = [u.slope(float(y)) for u, y in zip(unknowns, solution.y, strict=True)]
-        unscaled = problem.over(solution.predicted).weights * (solution.predicted - problem.observed)
-        scatter = float(np.sqrt(np.sum(unscaled**2) / max(solution.freedom, 1)))
-        return Fit(
-            title=self._title,
-            unknowns=unknowns,
-            values={u.name: float(u.unscaled(y)) for u, y in zip(unknowns, solution.y.tolist(), strict=True)},
-            standard_errors={u.name: float(e * s) for u, e, s in zip(unknowns, solution.errors, slopes, strict=True)},
-            correlation=solution.covariance / np.outer(solution.errors, solution.errors),
-            unidentifiable=tuple(undetermined(unknowns, solution)),
-            rows=source.rows(solution, solution.problem.weights),
-            loss=LOSSES[problem.robust],
-            optima=solution.optima,
-            freedom=solution.freedom,
-            scatter=scatter if problem.stated else NOMINAL * scatter,
-            errors="stated" if problem.stated else ERRORS[problem.relative],
-            warnings=tuple(warnings_of(solution, self._sets, unknowns)),
-            seconds=time.perf_counter() - started,
-            source=source,
-        )
-
-    def _check_rows(self, measured: Sequence[Measurements]) -> None:
+    def _check_rows(self) -> None:
         """Raise InputError for too few rows, or for a prediction or slope at the guess that is not finite."""
         problem, names = self._problem, [u.name for u in self._model.unknowns]
         count = int(np.sum(problem.counted))
         if count < problem.least_rows:
             why = "" if problem.stated else ", because the scatter is estimated too: state sigma, or measure more"
-            few = f"{measured[0].name}: {count} rows are too few for {len(names)} unknowns ({', '.join(names)})"
+            few = f"{self._sets[0].name}: {count} rows are too few for {len(names)} unknowns ({', '.join(names)})"
             raise InputError(f"{few}: at least {problem.least_rows} are needed{why}")
         values, slopes = problem.predictions(np.clip(problem.guess, 0.02, 0.98))
         finite = np.isfinite(values) & np.isfinite(slopes).all(axis=1)
         if not np.all(finite):
-            places = [m.row(k) for m in measured for k in range(len(m.values))]
+            places = [m.row(k) for m in self._sets for k in range(len(m.values))]
             raise InputError(f"{places[int(np.argmin(finite))]}: the model has no finite prediction there")
 
 

@@ -3,37 +3,41 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import cycle, permutations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_named, plain_number, whole_number
 from plough_opt.core.errors import InputError, NotConverged
-from plough_opt.core.expressions import ByValue
+from plough_opt.core.expressions import as_number
 from plough_opt.core.files import COLOURS, figure_with_panels, written
-from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite, Unsaved, to_plain
+from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite, Unsaved
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.saving import Origin, Saveable, versions
 from plough_opt.core.tables import Grid, Page, Part, data_frame
-from plough_opt.core.units import Display, Unit, display_of
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.calibration.least_squares import Solution, fitted
-from plough_opt.studies.calibration.measurements import RECORD
-from plough_opt.studies.calibration.model import Model, Rows, Unknown
-from plough_opt.studies.calibration.remarks import AT_BOUND, Undetermined
+from plough_opt.studies.calibration.least_squares import NOMINAL, Solution, quantile
+from plough_opt.studies.calibration.measurements import RECORD, Measurements
+from plough_opt.studies.calibration.model import Model, Unknown
+from plough_opt.studies.calibration.remarks import Undetermined, undetermined, warnings_of
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
+
+
+LOSSES: Final = ("squares", "soft_l1")
+ERRORS: Final = ("constant", "relative")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -47,9 +51,10 @@ class Fit(Saveable):
         standard_errors: unknown -> standard error, SI; infinite if the data do not narrow it further than its bounds.
         correlation: correlations of the errors of the unknowns (p, p); 0 for undetermined ones.
         unidentifiable: combinations of unknowns that the data do not determine.
-        rows: the measured rows with their predictions.
+        rows: the measured rows with their predictions; after `hold_out` those that were held out.
         loss: name of the loss.
         optima: sums of the losses at all distinct local optima, the best first.
+        fitted: number of rows that were fitted: of weight above 0, and not held out.
         freedom: degrees of freedom: number of rows of weight above 0, minus determined directions.
         scatter: square root of the sum of squared residuals over the degrees of freedom; residuals are relative to the
             stated sigma; if no sigma is stated, to the mean measured value, or to each prediction.
@@ -84,6 +89,7 @@ class Fit(Saveable):
     rows: tuple[Row, ...]
     loss: str
     optima: tuple[float, ...]
+    fitted: int
     freedom: int
     scatter: float
     errors: str
@@ -147,8 +153,8 @@ class Fit(Saveable):
         """Intervals that were loaded, or computed so far."""
         return dict(self.saved_intervals)
 
-    def hold_out(self, part: float = 1 / 3, *, by: str | None = None, seed: int = 1, level: float = 0.95) -> HeldOut:
-        """Fit to a part of the rows anew, and return how well this predicts the others.
+    def hold_out(self, part: float = 1 / 3, *, by: str | None = None, seed: int = 1, level: float = 0.95) -> Fit:
+        """Fit to a part of the rows anew, and return this fit with the predictions of the others as its rows.
 
         Args:
             part: part of the rows that is held out, between 0 and 1.
@@ -169,18 +175,66 @@ class Fit(Saveable):
             16
         """
         level = plain_number("level", level, above=0.0, below=1.0, why="0.95 is usual")
-        fit, rows = self._source_to("hold rows out of").without(part, by, seed)
-        values = {u.name: float(u.unscaled(fit.y[k])) for k, u in enumerate(self.unknowns)}
-        halves = np.array([fit.quantile(level) * math.hypot(row.sigma, row.standard_error) for row in rows])
-        count = int(np.sum(fit.problem.counted))
-        return HeldOut(self.title, count, values, tuple(rows), level, halves, self.origin)
+        source = self._source_to("hold rows out of")
+        held, asked = source.chosen(part, by, seed), source.solution.asked
+        weights = asked.weights.copy()
+        weights[held] = 0.0
+        if np.sum(weights > 0.0) < asked.least_rows:
+            few = f"leaves fewer than the {asked.least_rows} that {len(self.unknowns)} unknowns need"
+            raise InputError(f"holding out {len(held)} rows {few}: hold out a smaller part, or measure more")
+        # The other rows choose their own starts, so that nothing of the rows held out enters.
+        others = replace(source, solution=replace(asked, weights=weights).fitted(starts=4))
+        whole, counted = asked.over(others.solution.predicted).weights, weights > 0.0
+        # The loss soft_l1 has divided all weights by the scale of the residuals.
+        rows = others.rows(whole * np.median(others.solution.problem.weights[counted] / whole[counted]))
+        fit = others.fit(time.perf_counter())
+        title, rows = f"{self.title}: rows held out", tuple(rows[k] for k in held)
+        return replace(fit, title=title, rows=rows, level=level, origin=self.origin)
+
+    @property
+    def half_widths(self) -> Array:
+        """Half widths of the prediction intervals of the rows; infinite where the fit does not determine them."""
+        known = self.errors == "stated" and self.loss == "squares"
+        spread = np.hypot([row.sigma for row in self.rows], [row.standard_error for row in self.rows])
+        return np.asarray(quantile(self.level, math.inf if known else self.freedom) * spread)
+
+    @property
+    def coverage(self) -> tuple[int, int]:
+        """Number of rows whose measured value lies in its prediction interval, and number of finite intervals."""
+        finite = np.isfinite(self.half_widths)
+        return int(np.sum((np.abs(self.residuals) <= self.half_widths) & finite)), int(np.sum(finite))
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """Result -> root mean square of its errors."""
+        results = np.array([row.result for row in self.rows])
+        names = dict.fromkeys(results.tolist())
+        return {name: float(np.sqrt(np.mean(self.residuals[results == name] ** 2))) for name in names}
+
+    def words(self) -> str:
+        """Return errors and coverage of the rows in a sentence."""
+        errors = []
+        for name, rms in self.rms.items():
+            like = [row for row in self.rows if row.result == name]
+            mean = float(np.mean([abs(row.observed) for row in like]))
+            size = self.origin.display(name, like[0].unit, mean).text(rms, 3)
+            errors.append(f"{name} {size} ({100.0 * rms / mean:.3g} % of its mean)" if mean else f"{name} {size}")
+        (inside, finite), count = self.coverage, len(self.rows)
+        sizes = f"Fitted to {self.fitted} rows, RMS error of {count} others: {'; '.join(errors)}"
+        hits = f"{inside} of {finite} lie in their {100 * self.level:g} % prediction intervals"
+        more = f"; {count - finite} more depend on what the fitted rows do not determine" if finite < count else ""
+        return f"{sizes}; {hits}{more}."
+
+    def also_saved(self) -> dict[str, Any]:
+        """Return the errors of the rows, and how many lie in their prediction intervals."""
+        return {"rms": self.rms, "inside": self.coverage[0], "finite": self.coverage[1]}
 
     @property
     def scene(self) -> Scene:
         """The scene with the calibrated values."""
         source = self._source_to("take the scene of")
         scene = source.model.scene(self.values)
-        files = ", ".join(dict.fromkeys(rows.measured.name for rows in source.sets))
+        files = ", ".join(dict.fromkeys(m.name for m in source.sets))
         origin = f"{', '.join(self.values)} from {files}; {scene.soil.source}"
         return replace(scene, soil=replace(scene.soil, name=f"{scene.soil.name}, calibrated", source=origin))
 
@@ -259,7 +313,7 @@ class Fit(Saveable):
             >>> len(fit.plot().axes)
             2
         """
-        return written(drawn(self.title, self.rows, self.origin), target)
+        return written(_drawn(self.title, self.rows, self.origin), target)
 
     def to_json(self, page: Page | None = None) -> str:
         """Return the fit as JSON, with its intervals: see `Saveable.to_json`.
@@ -311,12 +365,12 @@ def _interval(fit: Solution, unknown: Unknown, k: int, level: float) -> Interval
     """Return the interval of unknown number k."""
     if fit.errors[k] == np.inf:
         return Interval(-np.inf, np.inf)
-    reach, y, kind = fit.quantile(level) * float(fit.errors[k]), float(fit.y[k]), "linearised"
+    reach, y, kind = quantile(level, fit.student) * float(fit.errors[k]), float(fit.y[k]), "linearised"
     low, high = y - reach, y + reach
     if reach > 1e-6:  # the loss is quadratic over a shorter interval
         with suppress(NotConverged):
             (low, high), kind = fit.profile(k, level), "profile"
-    at_lower, at_upper = low <= AT_BOUND, high >= 1.0 - AT_BOUND
+    at_lower, at_upper = low <= 1e-6, high >= 1.0 - 1e-6
     lower = unknown.lower if at_lower else float(unknown.unscaled(low))
     upper = unknown.upper if at_upper else float(unknown.unscaled(high))
     return Interval(lower, upper, ("lower",) * at_lower + ("upper",) * at_upper, kind)
@@ -351,160 +405,105 @@ class Row:
 
 @dataclass(frozen=True)
 class Source:
-    """What a fit was computed from: the model, the sets of measurements, and the solution."""
+    """What a fit was computed from: title, model, sets of measurements, and the solution."""
 
+    title: str
     model: Model
-    sets: tuple[Rows, ...]
+    sets: tuple[Measurements, ...]
     solution: Solution
 
-    def rows(self, fit: Solution, weights: Array) -> tuple[Row, ...]:
-        """Return every measured row with its prediction by a fit."""
-        within, elsewhere = fit.prediction_errors()
-        observed, deviation = fit.problem.observed, fit.deviation(weights)
-        # There is no error where undetermined directions change a prediction by a notable part of its deviation.
-        errors = np.where(elsewhere > 0.1 * deviation, np.inf, within)
-        numbers = np.column_stack([observed, fit.predicted, deviation, errors, fit.predicted - observed]).tolist()
-        rows: list[Row] = []
-        for m in (own.measured for own in self.sets):
+    @property
+    def values(self) -> dict[str, float]:
+        """Unknown -> fitted value, SI."""
+        return {name: float(as_number(value)) for name, value in self.model.values(self.solution.y).items()}
+
+    def fit(self, started: float) -> Fit:
+        """Return the fit; ``started`` is the value of `time.perf_counter` at its beginning."""
+        solution, unknowns = self.solution, self.model.unknowns
+        problem, slopes = solution.asked, [u.slope(float(y)) for u, y in zip(unknowns, solution.y, strict=True)]
+        unscaled = problem.over(solution.predicted).weights * (solution.predicted - problem.observed)
+        scatter = float(np.sqrt(np.sum(unscaled**2) / max(solution.freedom, 1)))
+        return Fit(
+            title=self.title,
+            unknowns=unknowns,
+            values=self.values,
+            standard_errors={u.name: float(e * s) for u, e, s in zip(unknowns, solution.errors, slopes, strict=True)},
+            correlation=solution.covariance / np.outer(solution.errors, solution.errors),
+            unidentifiable=tuple(undetermined(unknowns, solution)),
+            rows=self.rows(solution.problem.weights),
+            loss=LOSSES[problem.robust],
+            optima=solution.optima,
+            fitted=int(np.sum(problem.counted)),
+            freedom=solution.freedom,
+            scatter=scatter if problem.stated else NOMINAL * scatter,
+            errors="stated" if problem.stated else ERRORS[problem.relative],
+            warnings=tuple(warnings_of(solution, self.sets, self.model)),
+            seconds=time.perf_counter() - started,
+            source=self,
+        )
+
+    def rows(self, weights: Array) -> tuple[Row, ...]:
+        """Return every measured row with its prediction; the weights give the standard deviation of each."""
+        fit, rows = self.solution, list[Row]()
+        observed, sigma = fit.problem.observed, fit.sigma(weights)
+        columns = [observed, fit.predicted, sigma, fit.prediction_errors(sigma), fit.predicted - observed]
+        numbers = np.column_stack(columns).tolist()
+        for m in self.sets:
             for k in range(len(m.values)):
                 places = m.at(k) | ({} if m.time is None else {"time": float(m.time[k])})
                 rows.append(Row(m.row(k), m.result, m.unit.symbol, places, *numbers[len(rows)]))
         return tuple(rows)
 
-    def without(self, part: float, by: str | None, seed: int) -> tuple[Solution, list[Row]]:
-        """Return the fit to a part of the rows, and what it predicts of the others.
+    def chosen(self, part: float, by: str | None, seed: int) -> NDArray[np.intp]:
+        """Return the numbers of the rows to hold out: none of weight 0, and none that measures an unknown directly.
 
         Raises:
-            InputError: no such column, or a part that leaves too few rows on either side.
-            NotConverged: the fit did not converge.
+            InputError: no such column, or an invalid part.
         """
-        groups, asked = self._groups(by), self.solution.asked
         share = plain_number("the part of the rows to hold out", part, above=0.0, below=1.0, why="1/3 is usual")
-        record = by is None and any(rows.measured.result == RECORD for rows in self.sets)
+        direct = np.concatenate([np.full(len(m.values), m.direct) for m in self.sets])
+        rows = np.flatnonzero(~direct & self.solution.problem.counted)
+        groups: Array = rows.astype(float)
+        if by is not None:
+            check_named(
+                "{} is not a column of the data", by, dict.fromkeys(key for m in self.sets for key in m.conditions)
+            )
+            without = [np.full(len(m.values), np.nan) for m in self.sets]
+            groups = np.concatenate([m.conditions.get(by, x) for m, x in zip(self.sets, without, strict=True)])[rows]
+        order = np.unique(groups[np.isfinite(groups)])
         # Of a record the last rows are held out, because errors of neighbours are correlated.
-        shuffled = np.random.default_rng(whole_number("seed", seed)).permutation(len(groups))
-        order = np.arange(len(groups)) if record else shuffled
-        held = np.sort(np.concatenate([groups[k] for k in order[-max(1, round(share * len(groups))) :]]))
-        weights, unknowns = asked.weights.copy(), len(asked.guess)
-        weights[held] = 0.0
-        if np.sum(weights > 0.0) < asked.least_rows:
-            few = f"holding out {len(held)} rows leaves fewer than the {asked.least_rows} that {unknowns} unknowns need"
-            raise InputError(f"{few}: hold out a smaller part, or measure more")
-        # The other rows choose their own starts, so that nothing of the rows held out enters.
-        fit = fitted(replace(asked, weights=weights), starts=4)
-        whole, counted = asked.over(fit.predicted).weights, weights > 0.0
-        # The loss soft_l1 has divided all weights by the scale of the residuals.
-        rows = self.rows(fit, whole * np.median(fit.problem.weights[counted] / whole[counted]))
-        return fit, [rows[k] for k in held]
-
-    def _groups(self, by: str | None) -> list[NDArray[np.intp]]:
-        """Return the rows that are held out together: single rows, or those with one value in a column.
-
-        Neither rows of weight 0 nor rows that measure an unknown directly are among them.
-        """
-        measured = [rows.measured for rows in self.sets]
-        direct = np.concatenate([np.full(len(m.values), m.direct) for m in measured])
-        order = np.flatnonzero(~direct & self.solution.problem.counted)
-        if by is None:
-            return [order[k : k + 1] for k in range(len(order))]
-        check_named("{} is not a column of the data", by, dict.fromkeys(key for m in measured for key in m.conditions))
-        values = np.concatenate([m.conditions.get(by, np.full(len(m.values), np.nan)) for m in measured])[order]
-        return [order[values == value] for value in np.unique(values[np.isfinite(values)])]
+        if by is not None or all(m.result != RECORD for m in self.sets):
+            order = np.random.default_rng(whole_number("seed", seed)).permutation(order)
+        return rows[np.isin(groups, order[-max(1, round(share * len(order))) :])]
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut(ByValue):
-    """Predictions of rows that were held out of a fit, SI.
-
-    Attributes:
-        title: title of the calibration.
-        fitted: number of rows that were fitted.
-        values: unknown -> value fitted to these.
-        rows: the rows held out; standard errors of predictions that the fitted rows do not determine are infinite.
-        level: level of the prediction intervals.
-        half_widths: half widths of the prediction intervals; infinite where the fitted rows do not determine them.
-        origin: origin of the fit, which gives the units of the file.
-    """
-
-    title: str
-    fitted: int
-    values: Mapping[str, float]
-    rows: tuple[Row, ...]
-    level: float
-    half_widths: Array
-    origin: Origin
-
-    @property
-    def coverage(self) -> tuple[int, int]:
-        """Number of rows whose measured value lies in its prediction interval, and number of finite intervals."""
-        finite = np.isfinite(self.half_widths)
-        inside = np.abs([row.residual for row in self.rows]) <= self.half_widths
-        return int(np.sum(inside & finite)), int(np.sum(finite))
-
-    @property
-    def rms(self) -> dict[str, float]:
-        """Result -> root mean square of its errors."""
-        errors: dict[str, list[float]] = {}
-        for row in self.rows:
-            errors.setdefault(row.result, []).append(row.residual)
-        return {name: float(np.sqrt(np.mean(np.square(own)))) for name, own in errors.items()}
-
-    def plain(self) -> dict[str, Any]:
-        """Return the predictions as plain values for JSON, SI; infinite half widths as "Infinity"."""
-        plain: dict[str, Any] = to_plain(replace(self, origin=Origin()), HeldOut)
-        return plain | {"rms": self.rms, "inside": self.coverage[0], "finite": self.coverage[1]}
-
-    def words(self) -> str:
-        """Return errors and coverage in a sentence."""
-        errors = []
-        for name, rms in self.rms.items():
-            like = [row for row in self.rows if row.result == name]
-            mean = float(np.mean([abs(row.observed) for row in like]))
-            size = self.origin.display(name, like[0].unit, mean).text(rms, 3)
-            errors.append(f"{name} {size} ({100.0 * rms / mean:.3g} % of its mean)" if mean else f"{name} {size}")
-        (inside, finite), count = self.coverage, len(self.rows)
-        sizes = f"Fitted to {self.fitted} rows, RMS error of {count} others: {'; '.join(errors)}"
-        hits = f"{inside} of {finite} lie in their {100 * self.level:g} % prediction intervals"
-        more = f"; {count - finite} more depend on what the fitted rows do not determine" if finite < count else ""
-        return f"{sizes}; {hits}{more}."
-
-    def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw measured over predicted values of the rows held out, with the errors of both.
-
-        Args:
-            target: file to write (.png, .svg, .pdf), or None.
-
-        Raises:
-            InputError: the file cannot be written.
-        """
-        return written(drawn(f"{self.title}\nrows held out of the fit", self.rows, self.origin), target)
-
-
-def drawn(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
+def _drawn(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
     """Draw measured against predicted values with errors, and standardised residuals over what varies.
 
     Several results are each divided by their largest value.
     """
     rows = [row for row in rows if math.isfinite(row.sigma)]
     figure, (fit, over) = figure_with_panels(2, 2, (5.5, 4.2))
-    results, (places, label) = dict.fromkeys(row.result for row in rows), _varied(rows, origin)
-    for result, colour in zip(results, cycle(COLOURS)):
-        like = [k for k, row in enumerate(rows) if row.result == result]
-        own = [rows[k] for k in like]
-        predicted, observed, sigma, error = np.array(
-            [(r.predicted, r.observed, r.sigma, r.standard_error) for r in own]
-        ).T
-        error = np.where(np.isfinite(error), error, 0.0)
-        size = float(np.max(np.abs(predicted)))
-        unit = origin.display(result, rows[like[0]].unit, size) if len(results) == 1 else Display("", size)
+    results, (places, label), heading = (
+        [row.result for row in rows],
+        _varied(rows, origin),
+        "value, over the largest of its kind",
+    )
+    numbers = np.array([(r.predicted, r.observed, r.standard_error, r.sigma) for r in rows])
+    numbers[~np.isfinite(numbers)] = 0.0
+    for result, colour in zip(dict.fromkeys(results), cycle(COLOURS)):
+        like = np.array([name == result for name in results])
+        size = float(np.max(np.abs(numbers[like, 0])))
+        if len({*results}) == 1:
+            unit = origin.display(result, rows[0].unit, size)
+            size, heading = unit.factor, unit.heading(called(result))
+        x, y, xerr, yerr = numbers[like].T
         style: dict[str, Any] = {"fmt": "o", "markersize": 4, "linewidth": 0.8, "color": colour}
-        style["label"] = f"{called(result)}, n = {len(like)}"
-        x, y, xerr, yerr = np.array([predicted, observed, 1.96 * error, 1.96 * sigma]) / unit.factor
-        fit.errorbar(x, y, xerr=xerr, yerr=yerr, **style)
-        over.errorbar(places[like], (predicted - observed) / sigma, **style)
-    name = unit.heading(called(result)) if len(results) == 1 else "value, over the largest of its kind"
+        style["label"] = f"{called(result)}, n = {len(x)}"
+        fit.errorbar(x / size, y / size, xerr=1.96 * xerr / size, yerr=1.96 * yerr / size, **style)
+        over.errorbar(places[like], (x - y) / yerr, **style)
     fit.axline((1.0, 1.0), slope=1.0, color="black", linewidth=0.9, label="measured = predicted")
-    fit.set(xlabel=f"predicted {name}", ylabel=f"measured {name}", title="bars: 95 % of the errors of both")
+    fit.set(xlabel=f"predicted {heading}", ylabel=f"measured {heading}", title="bars: 95 % of the errors of both")
     for line in (-1.96, 0.0, 1.96):
         over.axhline(line, color="gray", linewidth=0.9, linestyle="--" if line else "-")
     over.set(xlabel=label, ylabel="(predicted - measured) / standard error", title="dashes: 95 % of normal errors")
@@ -520,10 +519,9 @@ def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Array, str]:
     keys = dict.fromkeys(key for row in rows for key in row.conditions)
     counts = {key: len({row.conditions.get(key) for row in rows}) for key in keys}
     preferred = [key for key in ("time", "scene.tow_speed") if counts.get(key, 0) > 1]
-    name = preferred[0] if preferred else max(counts, key=counts.__getitem__, default="")
+    name = next(iter(preferred), max(counts, key=counts.__getitem__, default=""))
     if not name:
         return np.arange(1.0, len(rows) + 1.0), "number of the row"
-    unit, usual = ("s", "s") if name == "time" else (EVERY[name].unit, EVERY[name].shown or EVERY[name].unit)
-    display = origin.displays.get(name) or display_of(f"1 {usual}".rstrip(), Unit(unit))
     values = np.array([row.conditions.get(name, math.nan) for row in rows])
+    display = origin.display(name, "s" if name == "time" else EVERY[name].unit, *values[np.isfinite(values)].tolist())
     return values / display.factor, display.heading(called(name))

@@ -1,7 +1,6 @@
 """Least squares between bounds with exact slopes: the best fit, its errors, what is not determined, and profiles."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final
 
 import casadi as ca
@@ -31,14 +30,14 @@ _LEAST_SCALE: Final = 1e-6
 
 
 class Predictions:
-    """Predictions and slopes as a function of the scaled unknowns; those at the last point are remembered."""
+    """Predictions (n) and slopes (n, p) as a function of the scaled unknowns (p); the last ones are remembered."""
 
     def __init__(self, function: ca.Function) -> None:
         self.closed, self._function = function.is_a("SXFunction"), function
         self._last: tuple[bytes, Array, Array] = (b"", np.zeros(0), np.zeros(0))
 
     def __call__(self, y: Array) -> tuple[Array, Array]:
-        """Return the predictions (n) and their Jacobian (n, p)."""
+        """Return the predictions and their Jacobian."""
         if self._last[0] != y.tobytes():
             values, slopes = map(np.asarray, self._function(y))
             self._last = y.tobytes(), values.ravel(), slopes.reshape(values.size, y.size)
@@ -90,9 +89,8 @@ class LeastSquares:
         if not self.robust:
             return sized
         size = np.abs(sized.residuals(y))[self.counted]
-        freedom = max(len(size) - len(y), 1)
         # The median of the absolute residuals, and its part of a normal distribution's standard deviation.
-        scale = float(np.median(size) / stats.norm.ppf(0.75) * (len(size) / freedom) ** 0.5)
+        scale = float(np.median(size) / stats.norm.ppf(0.75) * (len(size) / max(len(size) - len(y), 1)) ** 0.5)
         return replace(sized, weights=sized.weights / max(scale, _LEAST_SCALE))
 
     def residuals(self, y: Array) -> Array:
@@ -132,9 +130,9 @@ class LeastSquares:
             return start, np.inf
         if np.any(free):
             options = {"loss": "soft_l1" if self.robust else "linear", "f_scale": SOFT_L1, **_TOLERANCES}
-            found = optimize.least_squares(residuals, start[free], slopes, bounds=(0.0, 1.0), **options)
-            y[free] = found.x
-            if not found.success:
+            end = optimize.least_squares(residuals, start[free], slopes, bounds=(0.0, 1.0), **options)
+            y[free] = end.x
+            if not end.success:
                 return y, np.inf
         return y, self.loss(y)
 
@@ -148,7 +146,8 @@ class LeastSquares:
         losses = np.nan_to_num([self.loss(point) for point in points] if starts > 1 else [], nan=np.inf)
         tried = [guess, *(points[k] for k in np.argsort(losses)[: starts - 1])]
         inside = [np.clip(point, 0.02, 0.98) for point in tried]  # a search may stay at a bound
-        ridge = _RIDGE if Directions(self.slopes(inside[0]), 1.0).free.any() else 0.0
+        sizes = np.linalg.svd(self.slopes(inside[0]), compute_uv=False)
+        ridge = _RIDGE if len(sizes) < len(guess) or sizes[-1] * UNIFORM <= 1.0 else 0.0
         optima = sorted((self.descend(point, ridge=ridge) for point in inside), key=lambda optimum: optimum[1])
         if optima[0][1] == np.inf:
             remedy = "narrow the bounds, give guesses, or fix unknowns that the data do not determine"
@@ -156,50 +155,30 @@ class LeastSquares:
         finite = [loss for _, loss in optima if loss < np.inf]
         return optima[0][0], tuple(b for a, b in zip([-1.0, *finite], finite, strict=False) if b - a > 1e-6 * (1.0 + a))
 
+    def fitted(self, starts: int) -> "Solution":
+        """Return the best fit; weights that depend on the fit are settled with it.
 
-def fitted(problem: LeastSquares, starts: int) -> "Solution":
-    """Return the best fit; weights that depend on the fit are settled with it.
-
-    Raises:
-        NotConverged: no start led to an optimum.
-    """
-    # Where errors are relative, the first weights are those of errors relative to the measured values.
-    scaled, settled = problem.over(problem.observed), True
-    y, optima = scaled.search(problem.guess, starts)
-    if problem.relative or (problem.robust and not problem.stated):
-        for _ in range(100):
-            before, scaled = scaled, problem.scaled(y)
-            if settled := bool(np.all(np.abs(scaled.weights - before.weights) <= 1e-4 * before.weights)):
-                break
-            y, _ = scaled.descend(y)
-        y, optima = scaled.search(y, starts)
-    return Solution(problem, scaled, y, optima, settled)
-
-
-class Directions:
-    """Singular directions of scaled unknowns, and how far data determine them.
-
-    Attributes:
-        vectors: directions as columns (p, p).
-        deviation: standard deviation along each; infinite if no residual depends on it.
-        free: mask of the directions along which the data tell less than the bounds.
-    """
-
-    def __init__(self, slopes: Array, noise: float) -> None:
-        _, sizes, right = np.linalg.svd(slopes, full_matrices=True)
-        sizes = np.pad(sizes, (0, len(right) - len(sizes)))
-        effective = sizes > max(1e-9 * float(sizes[0]), np.finfo(float).tiny)  # less is rounding
-        self.vectors: Array = right.T
-        self.deviation = np.divide(noise, sizes, out=np.full(len(sizes), np.inf), where=effective)
-        self.free = self.deviation >= UNIFORM
-
-    def covariance(self, which: NDArray[np.bool_]) -> Array:
-        """Return the covariance of the scaled unknowns along some directions (p, p)."""
-        within = self.vectors[:, which] * self.deviation[which]
-        return np.asarray(within @ within.T)
+        Raises:
+            NotConverged: no start led to an optimum.
+        """
+        # Where errors are relative, the first weights are those of errors relative to the measured values.
+        scaled = self.over(self.observed)
+        y, optima = scaled.search(self.guess, starts)
+        if self.relative or (self.robust and not self.stated):
+            for _ in range(100):
+                before, scaled = scaled, self.scaled(y)
+                if np.all(np.abs(scaled.weights - before.weights) <= 1e-4 * before.weights):
+                    break
+                y, _ = scaled.descend(y)
+            y, optima = scaled.search(y, starts)
+        return Solution(self, scaled, y, optima)
 
 
-@dataclass(frozen=True)
+def quantile(level: float, freedom: float) -> float:
+    """Return Student's two-sided quantile at a confidence level; the normal one for infinite degrees of freedom."""
+    return float(stats.t.ppf(0.5 + level / 2.0, freedom))
+
+
 class Solution:
     """The best fit of n rows and p scaled unknowns, with its accuracy.
 
@@ -208,80 +187,62 @@ class Solution:
         problem: the same with the weights that belong to the fit.
         y: scaled unknowns at the optimum.
         optima: sums of losses of all distinct local optima, the best first.
-        settled: whether weights that depend on the fit settled.
+        predicted: predictions (n), SI.
+        residuals: weighted residuals, predicted minus observed (n).
+        freedom: degrees of freedom: rows of weight above 0, minus directions that have an effect.
+        student: degrees of freedom of Student's quantiles; infinite if the variance is known.
+        variance: variance of a weighted residual in the covariance.
+        rise: rise of twice the loss over the squared quantile.
+        vectors: singular directions of the scaled unknowns as columns (p, p).
+        deviation: standard deviation along each; infinite if no residual depends on it.
+        free: mask of the directions along which the data tell less than the bounds.
+        covariance: of the scaled unknowns (p, p), without directions that have no effect.
+        errors: standard errors of the scaled unknowns (p); infinite where the data tell less than the bounds.
     """
 
-    asked: LeastSquares
-    problem: LeastSquares
-    y: Array
-    optima: tuple[float, ...]
-    settled: bool
-
-    @property
-    def predicted(self) -> Array:
-        """Predictions (n), SI."""
-        return self.problem.predictions(self.y)[0]
-
-    @cached_property
-    def residuals(self) -> Array:
-        """Weighted residuals, predicted minus observed (n)."""
-        return self.problem.residuals(self.y)
-
-    @property
-    def normal(self) -> bool:
-        """Whether quantiles are normal, because the variance is known; otherwise they are Student's."""
-        return self.problem.stated and not self.problem.robust
-
-    @cached_property
-    def freedom(self) -> int:
-        """Degrees of freedom: rows of weight above 0, minus directions that have an effect."""
-        effective = np.isfinite(Directions(self.problem.slopes(self.y), 1.0).deviation)
-        return int(np.sum(self.problem.counted) - np.sum(effective))
-
-    @cached_property
-    def noise(self) -> tuple[float, float]:
-        """Variance of a weighted residual in the covariance, and rise of twice the loss over the squared quantile."""
-        if self.normal:
-            return 1.0, 1.0
-        counted = self.residuals[self.problem.counted]
-        root = np.hypot(1.0, counted / SOFT_L1) if self.problem.robust else np.ones(len(counted))
-        square = max(float(np.sum((counted / root) ** 2)) / max(self.freedom, 1), _LEAST_SCALE**2)
-        curvature = float(np.mean(root**-3.0))
-        return square / curvature**2, square / curvature
-
-    @cached_property
-    def directions(self) -> Directions:
-        """Directions of the scaled unknowns with the deviations that the scatter leaves."""
-        return Directions(self.problem.slopes(self.y), self.noise[0] ** 0.5)
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Covariance of the scaled unknowns (p, p), without directions that have no effect."""
-        return self.directions.covariance(np.isfinite(self.directions.deviation))
-
-    @cached_property
-    def errors(self) -> Array:
-        """Standard errors of the scaled unknowns (p); infinite where the data tell less than the bounds."""
-        without_effect = self.directions.vectors[:, np.isinf(self.directions.deviation)]
+    def __init__(self, asked: LeastSquares, problem: LeastSquares, y: Array, optima: tuple[float, ...]) -> None:
+        self.asked, self.problem, self.y, self.optima = asked, problem, y, optima
+        self.predicted, self.residuals = problem.predictions(y)[0], problem.residuals(y)
+        _, sizes, right = np.linalg.svd(problem.slopes(y), full_matrices=True)
+        sizes = np.pad(sizes, (0, len(y) - len(sizes)))
+        effective = sizes > max(1e-9 * float(sizes[0]), np.finfo(float).tiny)  # less is rounding
+        counted = self.residuals[problem.counted]
+        self.freedom = len(counted) - int(np.sum(effective))
+        self.student, self.variance, self.rise = np.inf, 1.0, 1.0
+        if problem.robust or not problem.stated:
+            self.student = self.freedom
+            root = np.hypot(1.0, counted / SOFT_L1) if problem.robust else np.ones(len(counted))
+            square = max(float(np.sum((counted / root) ** 2)) / max(self.freedom, 1), _LEAST_SCALE**2)
+            curvature = float(np.mean(root**-3.0))
+            self.variance, self.rise = square / curvature**2, square / curvature
+        self.vectors: Array = right.T
+        self.deviation = np.divide(self.variance**0.5, sizes, out=np.full(len(y), np.inf), where=effective)
+        self.free = self.deviation >= UNIFORM
+        self.covariance = self._covariance(effective)
         errors = np.sqrt(np.diag(self.covariance))
-        return np.where(np.any(np.abs(without_effect) > 1e-6, axis=1) | (errors >= UNIFORM), np.inf, errors)
+        without_effect = np.any(np.abs(self.vectors[:, ~effective]) > 1e-6, axis=1)
+        self.errors = np.where(without_effect | (errors >= UNIFORM), np.inf, errors)
 
-    def deviation(self, weights: Array | None = None) -> Array:
+    def _covariance(self, which: NDArray[np.bool_]) -> Array:
+        """Return the covariance of the scaled unknowns along some directions (p, p)."""
+        within = self.vectors[:, which] * self.deviation[which]
+        return np.asarray(within @ within.T)
+
+    def sigma(self, weights: Array | None = None) -> Array:
         """Return the standard deviation of each measurement (n), SI, by its weight; infinite for one of weight 0."""
         with np.errstate(divide="ignore"):
-            return np.asarray(self.noise[0] ** 0.5 / (self.problem.weights if weights is None else weights))
+            return np.asarray(self.variance**0.5 / (self.problem.weights if weights is None else weights))
 
-    def prediction_errors(self) -> tuple[Array, Array]:
-        """Return the standard errors of the predictions along determined directions, and along all others (n), SI."""
-        slopes, free = self.problem.predictions(self.y)[1], self.directions.free
-        within = np.einsum("ni,ij,nj->n", slopes, self.directions.covariance(~free), slopes)
-        # Along an undetermined direction the unknowns may be anywhere between their bounds.
-        return np.sqrt(within), UNIFORM * np.linalg.norm(slopes @ self.directions.vectors[:, free], axis=1)
+    def prediction_errors(self, sigma: Array) -> Array:
+        """Return the standard errors of the predictions (n), SI; infinite where the data do not determine them.
 
-    def quantile(self, level: float) -> float:
-        """Return the two-sided quantile at a confidence level."""
-        side = 0.5 + level / 2.0
-        return float(stats.norm.ppf(side) if self.normal else stats.t.ppf(side, self.freedom))
+        Along an undetermined direction the unknowns may be anywhere between their bounds: there is no error where that
+        changes a prediction by a notable part of the measurement's standard deviation.
+        """
+        slopes = self.problem.predictions(self.y)[1]
+        within = np.sqrt(np.einsum("ni,ij,nj->n", slopes, self._covariance(~self.free), slopes))
+        elsewhere = UNIFORM * np.linalg.norm(slopes @ self.vectors[:, self.free], axis=1)
+        return np.where(elsewhere > 0.1 * sigma, np.inf, within)
 
     def profile(self, k: int, level: float) -> tuple[float, float]:
         """Return the ends of the profile interval of scaled unknown k, or the bounds that come first.
@@ -292,10 +253,11 @@ class Solution:
         Raises:
             NotConverged: the other unknowns could not be fitted.
         """
-        centre, error, quantile, least = float(self.y[k]), float(self.errors[k]), self.quantile(level), self.optima[0]
+        centre, error, least = float(self.y[k]), float(self.errors[k]), self.optima[0]
+        reach = quantile(level, self.student)
         # Change of all unknowns per change of this one, to first order: it predicts the fit of the others.
         along = self.covariance[:, k] / self.covariance[k, k]
-        ridge = _RIDGE if self.directions.free.any() else 0.0
+        ridge = _RIDGE if self.free.any() else 0.0
 
         def excess(value: float) -> float:
             """Return the root of the loss's rise minus the quantile; it is nearly linear in the value."""
@@ -304,10 +266,10 @@ class Solution:
             loss = least if value == centre else self.problem.descend(start, k, ridge)[1]
             if loss == np.inf:
                 raise NotConverged("the profile likelihood has no optimum", "not converged")
-            return float((max(2.0 * (loss - least), 0.0) / self.noise[1]) ** 0.5) - quantile
+            return float((max(2.0 * (loss - least), 0.0) / self.rise) ** 0.5) - reach
 
         def end(sign: float) -> float:
-            for far in np.clip(centre + sign * quantile * error * 2.0 ** np.arange(64), 0.0, 1.0).tolist():
+            for far in np.clip(centre + sign * reach * error * 2.0 ** np.arange(64), 0.0, 1.0).tolist():
                 if excess(far) >= 0.0:
                     return float(optimize.brentq(excess, centre, far, xtol=1e-7 * error))
                 if far in (0.0, 1.0):

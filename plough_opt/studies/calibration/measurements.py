@@ -1,6 +1,6 @@
 """Measured values with their conditions and errors, from Python or a CSV file."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -98,6 +98,14 @@ class Measurements(ByValue):
         """Mask of the rows that are not left out by a weight of 0."""
         return np.full(len(self.values), True) if self.weights is None else self.weights > 0.0
 
+    @property
+    def distinct(self) -> tuple[Array, NDArray[np.intp]]:
+        """Distinct combinations of conditions (rows), and the number of each row's own."""
+        # A column of zeros, dropped below, allows measurements without conditions.
+        columns = np.column_stack([np.zeros(len(self.values)), *self.conditions.values()])
+        table, which = np.unique(columns, axis=0, return_inverse=True)
+        return table[:, 1:], which.ravel()
+
     def row(self, number: int) -> str:
         """Return the name of a row, counted from 0, for messages.
 
@@ -135,24 +143,20 @@ class Measurements(ByValue):
 
     def _check_columns(self) -> None:
         """Raise InputError if numbers are outside their domains, or if the columns do not go together."""
-        signed = self.direct or self.result == RECORD
-        for key, column in (
-            (self.result, None if signed else self.values),
-            ("weights", self.weights),
-            ("time", self.time),
-        ):
+        columns = {"weights": self.weights, "time": self.time}
+        if not (self.direct or self.result == RECORD):
+            columns[self.result] = self.values
+        for key, column in columns.items():
             if column is not None:
                 self._refuse(key, column, column < 0.0, "at least 0")
         if self.sigma is not None:
             self._refuse("sigma", self.sigma, self.sigma <= 0.0, "above 0: it is a standard deviation")
+        untimed, timed = self.time is None and self.result == RECORD, self.time is not None and self.result != RECORD
         for wrong, why in (
             (self.sigma is not None and self.weights is not None, "sigma and weights exclude each other: keep sigma"),
             (not np.any(self.counted), "every weight is 0, which leaves no row: omit this set"),
-            (
-                self.time is None and self.result == RECORD,
-                f"{RECORD} is measured over time: a column 'time [s]' is missing",
-            ),
-            (self.time is not None and self.result != RECORD, f"one value per run: a time goes with {RECORD} only"),
+            (untimed, f"{RECORD} is measured over time: a column 'time [s]' is missing"),
+            (timed, f"one value per run: a time goes with {RECORD} only"),
         ):
             if wrong:
                 raise InputError(f"{self.name}: {why}")
@@ -192,7 +196,7 @@ def read_measurements(path: str | Path) -> Measurements:
     if len(rows) == 1:
         raise InputError(f"{path}, line {line}: there is no row below the header: add the measured values")
     shown = [(text.strip(), factor) for text, (_, factor) in zip(headings, columns, strict=True)]
-    table = table_of(path, rows[1:], shown, lambda k, value, cell: _check_cell(columns[k][0], value, cell))
+    table = table_of(path, rows[1:], shown, lambda *_: None)
     values = {name: table[:, k] for k, (name, _) in enumerate(columns)}
     result = next(name for name in values if name in MEASURABLE)
     measured, sigma = values.pop(result), values.pop("sigma", None)
@@ -209,34 +213,20 @@ def _columns(place: str, headings: Sequence[str], relative: bool) -> list[tuple[
     Raises:
         InputError: invalid columns, or columns that do not go together; the message lists all.
     """
-    measured = [name for text in headings if (name := heading_of(text, MEASURABLE)[0]) in MEASURABLE]
-    units: Mapping[str, Unit] = (
-        quantities()
-        | {name: MEASURES[name].unit for name in MEASURABLE}
-        | {
-            "sigma": MEASURES[measured[0]].unit if measured and not relative else Unit(""),
-            "weight": Unit(""),
-            "time": Unit("s"),
-        }
-    )
+    measured = {name: MEASURES[name].unit for name in MEASURABLE}
+    results = [name for text in headings if (name := heading_of(text, measured)[0]) in measured]
     # Without a measured result the unit of sigma is unknown: report the missing result only.
-    named = (text for text in headings if measured or heading_of(text, ("sigma",))[0] != "sigma")
-    columns = columns_of(place, [*named], units)
+    sigma = [text for text in headings if heading_of(text, ("sigma",))[0] == "sigma"]
+    units = quantities() | measured | {"weight": Unit(""), "time": Unit("s")}
+    units["sigma"] = measured[results[0]] if results and not relative else Unit("")
+    columns = columns_of(place, [text for text in headings if results or text not in sigma], units)
     names = [name for name, _ in columns]
     twice = sorted({name for name in names if names.count(name) > 1})
     errors = [f"{place}, column '{key}': it is given twice: leave one of the two out" for key in twice]
-    if not measured:
+    if not results:
         valid = f"add one of {', '.join(MEASURABLE)}, such as {_EXAMPLE}"
         errors.append(f"{place}: no column holds a measured result: {valid}")
-    if len(set(measured)) > 1:
-        errors.append(f"{place}: {' and '.join(measured)} are measured: write one file for each, and give all files")
+    if len(set(results)) > 1:
+        errors.append(f"{place}: {' and '.join(results)} are measured: write one file for each, and give all files")
     raise_listed(errors)
     return columns
-
-
-def _check_cell(name: str, value: float, cell: str) -> None:
-    """Raise InputError if a number is outside the domain of its column."""
-    if name == "sigma" and value <= 0.0:
-        raise InputError(f"{cell} must be above 0: it is a standard deviation")
-    if name in ("weight", "time") and value < 0.0:
-        raise InputError(f"{cell} must be at least 0")

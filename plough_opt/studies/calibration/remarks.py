@@ -9,24 +9,16 @@ import numpy as np
 from scipy import linalg, stats
 
 from plough_opt.core.errors import IntegrationError, listed
-from plough_opt.core.expressions import as_number
 from plough_opt.core.plain_data import Array
 from plough_opt.core.units import in_words
-from plough_opt.studies.calibration.least_squares import Solution
-from plough_opt.studies.calibration.model import Rows, SceneOfRows, Unknown, is_closed
+from plough_opt.studies.calibration.least_squares import Solution, quantile
+from plough_opt.studies.calibration.measurements import Measurements
+from plough_opt.studies.calibration.model import Model, Unknown, is_closed
 
-AT_BOUND: Final = 1e-6
-"""A scaled unknown that is closer to a bound counts as being on it."""
-
-# Part of a combination, relative to its largest, that is left out: where nothing changes, and elsewhere.
-_ROUNDING, _MINOR = 1e-6, 0.02
-# Significance of tests of the scatter; and of errors that grow, where one fit in twenty is warned in vain. Of fits to
-# 24 rows with proportional errors, whose results differ by a factor of five, five in six are warned.
+# Significance of tests of the scatter; and of errors that grow, where one fit in twenty is warned in vain.
 _SIGNIFICANCE, _GROWING = 1e-3, 0.05
-# Fewest residuals whose correlation means something, and standard deviations from which on one is an outlier.
-_FEWEST, _OUTLIER = 8, 4.0
-# Error of fitted runs, in standard deviations of the data, from which on they carry a warning; and most runs checked.
-_NOTABLE_ERROR, _MOST_CHECKED = 0.1, 12
+# Fewest residuals whose correlation means something.
+_FEWEST: Final = 8
 
 
 @dataclass(frozen=True)
@@ -46,15 +38,11 @@ class Undetermined:
 
 def undetermined(unknowns: Sequence[Unknown], fit: Solution) -> Iterator[Undetermined]:
     """Yield the undetermined combinations, each of as few unknowns as possible."""
-    vectors, deviation = fit.directions.vectors, fit.directions.deviation
-    without_effect, pivots = _sparse(vectors[:, np.isinf(deviation)], _ROUNDING)
+    without_effect, pivots = _sparse(fit.vectors[:, np.isinf(fit.deviation)], 1e-6)
     # Directions without effect may be subtracted from those with little effect, which leaves fewer unknowns in these.
-    weak = vectors[:, fit.directions.free & np.isfinite(deviation)]
-    weak, _ = _sparse(weak - without_effect @ weak[pivots, :], _MINOR)
-    # An unknown may be undetermined by a component that was left out: name it alone.
-    named = np.any(np.hstack([without_effect, weak]) != 0.0, axis=1)
-    alone = np.eye(len(unknowns))[:, ~named & np.isinf(fit.errors)]
-    for directions, structural in ((without_effect, True), (weak, False), (alone, False)):
+    weak = fit.vectors[:, fit.free & np.isfinite(fit.deviation)]
+    weak, _ = _sparse(weak - without_effect @ weak[pivots, :], 5e-3)
+    for directions, structural in ((without_effect, True), (weak, False)):
         for direction in directions.T:
             members = [k for k in np.argsort(-np.abs(direction), kind="stable") if direction[k] != 0.0]
             size = 0.01 / direction[members[0]]
@@ -87,48 +75,28 @@ def _words(members: Sequence[Unknown], changes: Mapping[str, float], structural:
     return f"{listed(names)} {how}: {sizes[names[0]]} more {names[0]} can be offset by {', '.join(moves)}"
 
 
-def warnings_of(fit: Solution, sets: Sequence[Rows], unknowns: Sequence[Unknown]) -> Iterator[str]:
+def warnings_of(fit: Solution, sets: Sequence[Measurements], model: Model) -> Iterator[str]:
     """Yield the warnings about a fit."""
-    yield from _scatter(fit, [rows.measured.row(k) for rows in sets for k in range(len(rows.measured.values))])
-    parts = np.cumsum([len(rows.measured.values) for rows in sets])[:-1]
+    yield from _scatter(fit, [m.row(k) for m in sets for k in range(len(m.values))])
+    parts = np.cumsum([len(m.values) for m in sets])[:-1]
     yield from _growing(fit, np.split(np.abs(fit.predicted), parts))
-    for rows, residuals in zip(sets, np.split(fit.residuals, parts), strict=True):
-        yield from _correlated(rows, residuals)
-    for k in np.flatnonzero(np.isfinite(fit.errors)).tolist():
-        u, y = unknowns[k], fit.y[k]
-        for side, distance, bound in (("lower", y, u.lower), ("upper", 1.0 - y, u.upper)):
-            if distance < AT_BOUND:
-                place = f"{u.name} is at its {side} bound {bound:g} {u.unit}".rstrip()
-                yield f"{place}: the data call for a value beyond it, and the intervals are valid only if the bound is"
-    near = sum(loss - fit.optima[0] < 0.5 * fit.noise[1] * fit.quantile(0.95) ** 2 for loss in fit.optima[1:])
-    if near:
+    for m, residuals in zip(sets, np.split(fit.residuals, parts), strict=True):
+        yield from _correlated(m, residuals)
+    if near := sum(loss - fit.optima[0] < 0.5 * fit.rise * quantile(0.95, fit.student) ** 2 for loss in fit.optima[1:]):
         remedy = "use narrower bounds or further measurements to decide between them"
         yield f"{near} other local optima fit almost as well: the intervals surround only the best; {remedy}"
-    at_fit = [rows.scenes(fit.y) for rows in sets]
-    yield from _inaccurate(fit, sets, at_fit)
-    named = {u.name for u in unknowns}.union(*(rows.measured.conditions for rows in sets))
-    scenes = [scene for of_set in at_fit for scene, *_ in of_set]
-    carried = max((float(as_number(scene.ambient_share)) for scene in scenes), default=0.0)
-    if carried > 0.0 and "soil.ambient_pressure" not in named:
-        pressure = in_words(float(as_number(scenes[0].soil.ambient_pressure)), "Pa", 4)
-        why = f"carries {100 * carried:.0f} % of the static draft: the calibrated strength of the soil depends on it"
-        yield f"an ambient pressure of {pressure} is taken as known and {why}"
+    yield from _inaccurate(fit, sets, model)
 
 
 def _scatter(fit: Solution, places: Sequence[str]) -> Iterator[str]:
-    """Yield warnings if the scatter did not settle, is not what the stated sigma implies, or leaves outliers."""
-    if not fit.settled:
-        yield "fit and scatter of the residuals did not settle, as few rows allow several such fits; state sigma"
+    """Yield warnings if the scatter is more than the stated sigma implies, or leaves outliers."""
     square = float(fit.residuals @ fit.residuals)
-    if fit.normal and fit.freedom > 0:
+    if fit.student == np.inf and fit.freedom > 0 and stats.chi2.sf(square, fit.freedom) < _SIGNIFICANCE:
         ratio = f"{math.sqrt(square / fit.freedom):.3g} times as large as the stated sigma implies"
-        if stats.chi2.sf(square, fit.freedom) < _SIGNIFICANCE:
-            why = "the model does not follow the data, or sigma and with it the intervals are too small"
-            yield f"residuals are {ratio}: {why}; leave sigma out to derive the intervals from the scatter"
-        elif stats.chi2.cdf(square, fit.freedom) < _SIGNIFICANCE:
-            yield f"residuals are only {ratio}: sigma is too large"
-    size = np.abs(fit.residuals) / math.sqrt(fit.noise[0])
-    if far := [k for k in np.argsort(-size).tolist() if size[k] > _OUTLIER]:
+        why = "the model does not follow the data, or sigma and with it the intervals are too small"
+        yield f"residuals are {ratio}: {why}; leave sigma out to derive the intervals from the scatter"
+    size = np.abs(fit.residuals) / math.sqrt(fit.variance)
+    if far := [k for k in np.argsort(-size).tolist() if size[k] > 4.0]:
         first = ", ".join(f"{places[k]} ({size[k]:.2g} sigma)" for k in far[:3])
         more = f" and {len(far) - 3} more" if len(far) > 3 else ""
         yield f"outliers: {first}{more}; the loss 'soft_l1' gives them less weight"
@@ -143,18 +111,17 @@ def _growing(fit: Solution, predicted: Sequence[Array]) -> Iterator[str]:
         return
     left = 1.0 - np.sum(linalg.orth(fit.problem.slopes(fit.y)) ** 2, axis=1)
     size = np.concatenate([own / (np.mean(own) or 1.0) for own in predicted])
-    counted = fit.problem.counted & (left > _ROUNDING) & (size > _ROUNDING)
+    counted = fit.problem.counted & (left > 1e-6) & (size > 1e-6)
     logarithms, errors = np.log(size[counted]), np.abs(fit.residuals[counted]) / np.sqrt(left[counted])
-    if np.ptp(logarithms) < _ROUNDING or np.ptp(errors) <= _ROUNDING * np.max(errors):
+    if np.ptp(logarithms) < 1e-6 or np.ptp(errors) <= 1e-6 * np.max(errors):
         return
     if stats.pearsonr(logarithms, errors, alternative="greater").pvalue < _GROWING:
         why = "while the intervals assume errors of equal size and are then too narrow"
         yield f"residuals grow with the predicted value, {why}: state sigma, or calibrate with errors 'relative'"
 
 
-def _correlated(rows: Rows, residuals: Array) -> Iterator[str]:
+def _correlated(m: Measurements, residuals: Array) -> Iterator[str]:
     """Yield a warning if the residuals of a record are correlated in time."""
-    m = rows.measured
     if m.time is None or len(residuals) < _FEWEST or not np.any(residuals):
         return
     ordered = residuals[np.lexsort((m.time, *m.conditions.values()))]
@@ -165,19 +132,18 @@ def _correlated(rows: Rows, residuals: Array) -> Iterator[str]:
         yield f"{m.name}: residuals of neighbouring times are correlated ({size:.2g}): {why}"
 
 
-def _inaccurate(fit: Solution, sets: Sequence[Rows], at_fit: Sequence[Sequence[SceneOfRows]]) -> Iterator[str]:
-    """Yield a warning if numeric runs, whose error is checked, differ from the fitted values."""
-    worst, runs, first = 0.0, 0, 0
-    for rows, scenes in zip(sets, at_fit, strict=True):
-        for scene, duration, which in scenes:
-            if is_closed(scene, rows.measured.result) or runs >= _MOST_CHECKED:
-                continue
-            try:
-                error = rows.checked(scene, duration, which) - fit.predicted[first + which]
-            except IntegrationError as failed:
-                yield f"the run of the fitted scene could not be checked: {failed}"
-                return
-            worst, runs = max(worst, *np.abs(error) / fit.deviation()[first + which]), runs + 1
-        first += len(rows.measured.values)
-    if worst > _NOTABLE_ERROR:
+def _inaccurate(fit: Solution, sets: Sequence[Measurements], model: Model) -> Iterator[str]:
+    """Yield a warning if numeric runs, whose error is checked, differ from the fitted values; at most 12 are made."""
+    first = np.cumsum([0, *(len(m.values) for m in sets)])
+    cases = [(m, start, case) for m, start in zip(sets, first, strict=False) for case in model.cases(m, fit.y)]
+    runs, worst = [own for own in cases if not is_closed(own[2][0], own[0].result)], 0.0
+    for m, start, case in runs[:12]:
+        rows = start + case[2]
+        try:
+            error = np.abs(model.checked(m, case) - fit.predicted[rows]) / fit.sigma()[rows]
+        except IntegrationError as failed:
+            yield f"the run of the fitted scene could not be checked: {failed}"
+            return
+        worst = max(worst, *error)
+    if worst > 0.1:
         yield f"runs with an error check differ from the fitted ones by up to {worst:.2g} standard deviations"

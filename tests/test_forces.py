@@ -386,12 +386,7 @@ def compacted(pressure=PRESSURES, lost=LOST, soil=SEROZEM):
 test_compression_tests_that_do_not_fit_are_refused = refusals(
     po.InputError,
     (lambda: compacted(soil=replace(SEROZEM, ambient_pressure=5e3)), "outside the compression test, 25 to 200 kPa"),
-    (lambda: compacted(PRESSURES, LOST[:3]), "not 4 and 3"),
-    (lambda: compacted([5e4], [0.1]), "two or more"),
     (lambda: compacted([5e4, 4e4], [0.1, 0.2]), "must rise from above 0"),
     (lambda: compacted([5e4, 2e5], [0.1, 1.0]), "must rise from above 0 to below 1"),
-    (lambda: compacted(["5 m", "6 m"], [0.1, 0.2]), "wrong unit"),
-    (lambda: compacted("5 kPa", [0.1, 0.2]), "must be a list of pressures"),
-    (lambda: compacted(soil="serozem"), "must be the Soil"),
     (lambda: compacted(soil=SEROZEM.with_density_profile(abs)), "no density ratio"),
 )

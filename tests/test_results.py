@@ -15,7 +15,7 @@ import pytest
 from helpers.commands import call, cells, printed
 from helpers.every_result import EVERY, STILL, batch, fit, front, optimum, run
 from helpers.problem_files import SUBSOILER
-from helpers.scenes import AVERAGES, Shank, scene_of
+from helpers.scenes import Shank, scene_of
 from helpers.strict_json import strict
 
 import plough_opt as po
@@ -177,18 +177,11 @@ INVALID_FILES = [
     *((text, WRONG) for text in ("", "[]", '{"kind": "run"}')),
     *((part, "at line") for part in (0.1, 0.999)),
     *(({"schema": schema}, "schema") for schema in (1, 2, True, "3", None)),
-    ({"kind": "sweep"}, "'sweep'"),
     ({"seconds": math.nan}, "expected value at line"),
     ({"mount_force": [1.0]}, "mount_force must have a number for each output time"),
-    ({"averages": {name: [1.0] for name in AVERAGES}}, "averages.mean_draft must be a number"),
-    ({"checks": None}, "a numeric run has its checks"),
-    ({"checks": {"floquet": [[1.0]]}}, "at checks"),
     ({"shown": {"parts": [{"columns": [], "rows": [["a"]]}]}}, "1 cells, but the table has 0 columns"),
-    ({"duration": []}, "at duration: holds no number"),
-    ({"duration": [[1.0, 2.0], [3.0]]}, "at duration"),
     *((without, without) for without in ("title", "averages")),
     (b"\x89PNG\r\n\x1a\n", "cannot be read"),
-    # Other JSON, nested too deep, with numbers that are none or too long, and what only looks like JSON.
     *((text, "") for text in ("[" * 100_000, '{"a":' * 100_000, f'{{"schema": 3, "x": {"[" * 3000}{"]" * 3000}}}')),
     *((f'{{"schema": {number}}}', "") for number in ("NaN", "-Infinity", "1e999", "9" * 5000)),
     *((text, "") for text in ('{"schema": 3, "kind": "\\ud800"}', "\ufeff{}", "null", '"x"', "{}{}", "\x00")),

@@ -53,18 +53,9 @@ def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
 PLAIN = HEADER + ROWS
 SAME = {
     "CRLF": PLAIN.replace("\n", "\r\n"),
-    "CR": PLAIN.replace("\n", "\r"),
     "byte order mark": f"\ufeff{PLAIN}",
-    "no last line end": PLAIN.rstrip("\n"),
-    "empty last lines": f"{PLAIN}\n  \n\t\n",
     "separators at line ends": PLAIN.replace("\n", ",\n"),
-    "several, and spaces": PLAIN.replace("\n", ", , ,  \n"),
-    "separators below the header": HEADER + ROWS.replace("\n", ",\n"),
-    "lines of separators": f"{PLAIN},,,\n, ,\n",
-    "tabs at line ends": PLAIN.replace(", ", "\t").replace("\n", "\t\t\n"),
     "semicolons at line ends": PLAIN.replace(",", ";").replace("\n", ";\r\n") + ";;;\r\n",
-    "a tab after the header": PLAIN.replace("[kN]\n", "[kN]\t\n"),
-    "a comment at the end": f"{PLAIN}# done",
 }
 
 
@@ -81,31 +72,18 @@ def test_a_file_reads_the_same_however_a_spreadsheet_wrote_it(written, text):
 
 
 WRONG_FILES = [
-    # a wrong column
     (HEADER.replace("tow_", "two_") + ROWS, "line 1, column 'scene.two_speed [km/h]': this column is unknown: did"),
-    (HEADER.replace("mean_draft", "draft") + ROWS, "did you mean 'mean_draft'?"),
-    (HEADER.replace("mean_draft [kN]", "soil.cohesion [kPa]") + ROWS, "no column holds a measured result"),
     ("mean_draft [kN], force_rms [N]\n1, 2\n", "mean_draft and force_rms are measured: write one file for each"),
-    ("mean_draft [kN], mean_draft [N]\n1, 2\n", "column 'mean_draft': it is given twice"),
-    # a unit
     (HEADER.replace(" [kN], sigma", ", sigma") + ROWS, "the unit is missing: write it like 'mean_draft [kN]'"),
     (HEADER.replace("[deg]", "[kg]") + ROWS, "'kg' is not a unit of rad: write it like 'share.wedge_angle [deg]'"),
-    ("soil.tool_friction [m], mean_draft [N]\n1, 2\n", "'m' is a unit, but a pure number"),
-    # a gap, and other cells
     (HEADER + "3.6, 40, , 0.1\n" + ROWS, "line 2, column 'mean_draft [kN]': the cell is empty"),
-    (HEADER + "3.6, 40, 3.9, ,\n", "line 2, column 'sigma [kN]': the cell is empty"),
     (HEADER + "3.6, 40, 3.9, 0.1, 7\n", "line 2: the row has 5 cells"),
-    (HEADER + "3.6, 40, ３, 0.1\n", "'３' is not a number"),
     (HEADER + "3.6, 40, 1e308, 0.1\n", "'1e308' is not a finite number"),
-    ("mean_draft [kN]; sigma [%]\n1e300; 1e300\n", "sigma = inf must be a finite number"),
-    (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2: sigma = -100 must be above 0"),
-    ("mount_force [N], time [s]\n1, -1\n", "line 2: time = -1 must be at least 0"),
+    (HEADER + "3.6, 40, 4.0, -0.1
+", "line 2: sigma = -100 must be above 0"),
     ("mean_draft [kN]\tsigma [kN]\n4,1\t0,1\n", "'4,1' is not a number: write a decimal point"),
-    (f"{HEADER}3.6, 40, {'4' * 10_000}, 0.1\n", "is not a finite number"),
-    # nothing
     ("", "the file is empty"),
-    (HEADER, "line 1: there is no row below the header"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("text", "words"), WRONG_FILES)
@@ -127,20 +105,12 @@ def test_every_mistake_is_listed(written):
 
 
 REFUSED = [
-    (("mean_draft", []), {}, "there are no measurements"),
     (("mean_drafts", [1.0]), {"name": "{1}"}, "{1}: 'mean_drafts' is not a measured result: did you mean"),
     (("mean_draft", [1.0, math.nan]), {}, "row 2: mean_draft = nan must be a finite number"),
-    (("mean_draft", [1.0, -1.0]), {}, "row 2: mean_draft = -1 must be at least 0"),
-    (("mean_draft", ["a"]), {}, "'mean_draft' must be a column of numbers"),
     (("mean_draft", [1.0], {"scene.tow_speed": [1.0, 2.0]}), {}, "must have 1 rows, as 'mean_draft' has"),
-    (("soil.cohesion", [1.0], {"soil.cohesion": [1.0]}), {}, "both measured and a condition"),
     (("mean_draft", [1.0]), {"sigma": 0.0}, "row 1: sigma = 0 must be above 0"),
-    (("mean_draft", [1.0]), {"weights": [-1.0]}, "weights = -1 must be at least 0"),
-    (("mean_draft", [1.0]), {"weights": [0.0]}, "every weight is 0"),
     (("mean_draft", [1.0]), {"weights": [1.0], "sigma": 1.0}, "exclude each other"),
     (("mean_draft", [1.0]), {"time": [1.0]}, "a time goes with mount_force"),
-    (("mount_force", [1.0]), {}, "a column 'time [s]' is missing"),
-    (("mount_force", [1.0]), {"time": [-1.0]}, "time = -1 must be at least 0"),
 ]
 
 

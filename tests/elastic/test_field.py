@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import casadi as ca
@@ -193,14 +193,10 @@ GOOD = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
 BARE = po.Soil(1600.0, 0.8, 15e3, 0.5, 0.3, poisson_ratio=0.3)
 REFUSED = {
     "supersonic": ({"speed": 100.001}, r"speed over shear wave speed = 1\.00001"),
-    "backwards": ({"speed": -1.0}, "speed = -1 m/s"),
     "point not a number": ({"x": math.nan}, "x = nan"),
-    "point at infinity": ({"away": math.inf}, "(r|distance from the axis) = inf m must be finite"),
     "nodes descending": ({"profile": [(0.0, 0.0), (0.5, 0.05), (0.25, 0.0)]}, "node 3 minus x of node 2.*backwards"),
     "first node thick": ({"profile": [(0.0, 0.01), (0.5, 0.05)]}, "first node"),
-    "single node": ({"profile": [(0.0, 0.0)]}, "two nodes"),
     "no Young's modulus": ({"soil": BARE}, "set soil.youngs_modulus"),
-    "no Poisson's ratio": ({"soil": replace(BARE, youngs_modulus=4e7, poisson_ratio=None)}, "set soil.poisson_ratio"),
     "negative height": ({"profile": [(0.0, 0.0), (0.5, -0.05)]}, "node 2 of the profile = -0.05 m"),
 }
 OF_WEDGES = {
@@ -387,9 +383,7 @@ test_points_off_the_face_and_impossible_motions_are_refused = refusals(
     (lambda: po.elastic.wedge_force(GOOD, *FAST), r"speed over shear wave speed = 1\.01"),
     (lambda: po.elastic.cone_force(GOOD, BARE, 1.0), "youngs_modulus"),
     (lambda: po.elastic.wedge_pressure(-0.1, GOOD, *ground()), "the face begins there"),
-    (lambda: po.elastic.wedge_pressure(0.6, GOOD, *ground()), "the face ends there"),
     (lambda: po.elastic.wedge_pressure(0.25, GOOD, *ground()), "node 2 of the profile"),
-    (lambda: po.elastic.cone_pressure(0.0, GOOD, *ground()), "the face begins there"),
     (lambda: po.elastic.cone_pressure(0.5, GOOD, *ground()), "radius of the cone at x = 0 m must be above 0 m"),
 )
 
@@ -452,12 +446,7 @@ test_integrals_and_knots_refuse_what_they_cannot_handle = refusals(
     (po.DomainError, po.InputError),
     (lambda: waved(y=0.0), "distance from the axis = 0 m must be above 0 m"),
     (lambda: waved(y=1e-7), "the closed forms have no such limit"),
-    (lambda: waved(profile=lambda x: 0.01 + x), "tip"),
     (lambda: waved(profile=lambda x: math.nan * x), "profile = nan"),
-    (lambda: waved(profile=3.0), "the profile must be a function of x that returns a number"),
     (lambda: waved(x=ca.SX.sym("x")), "closed forms"),
-    (lambda: po.elastic.knots(PROFILES["straight"], 0.5, 0), "count = 0 must be"),
-    (lambda: po.elastic.knots(PROFILES["straight"], 0.0, 4), "length of the profile = 0 m"),
     (lambda: po.elastic.knots(lambda x: -x, 0.5, 4), "half thickness or radius at x"),
-    (lambda: po.elastic.knots(lambda _: "r", 0.5, 4), "returns a number, in metres: could not convert"),
 )

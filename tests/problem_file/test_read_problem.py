@@ -203,17 +203,12 @@ RELIANCE = {
 RELIED_ON = [
     ([], ["level", "soft", "front"]),
     (["soil.cone_index=1 MPa"], ["soft", "front"]),
-    (["soil.strength_factor=3"], ["soft", "front"]),
     (["soil.density_ratio=0.794"], ["level", "soft"]),
-    (["scene.stiffness=50 kN/m"], ["level", "front"]),
-    (["require={half_angle={at_most='20 deg'}}"], ["level", "soft"]),
     (["require={half_angle={at_most='21 deg'}}"], ["level", "blunt", "soft"]),
-    (["require={half_angle={at_most='21 deg'}}", "share.wedge_angle=30 deg"], ["level", "soft"]),
     ([SPEED], ["level", "soft", "speed", "front"]),
     (["require={half_angle={at_most='20 deg'}}", VARYING], ["level", "soft", "pressure"]),
-    ([SPEED, "effects.rate_term=0.02 s^2/m^2"], ["level", "soft", "front"]),
     (["scene.medium={law='mckyes_ali', depth='30 cm'}", "require={}"], []),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("changes", "relied_on"), RELIED_ON)

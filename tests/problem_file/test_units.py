@@ -26,20 +26,15 @@ from plough_opt.problem_file.written import problem_of
 # SI unit, what a user writes, the value in SI worked out by hand.
 READ = [
     ("m/s", "7.2 km/h", 2.0),
-    ("m/s", "10 mph", 4.4704),
     ("rad", "15 deg", math.pi / 12),
-    ("rad", "15°", math.pi / 12),
     ("N*s/m", "400 N s/m", 400.0),
     ("kg/m^3", "1.35 g/cm^3", 1350.0),
-    ("kg/m^3", "1.35 g/cm³", 1350.0),
     ("m", "-3e2 mm", -0.3),
     ("s^2/m^2", "0.01 s^2/m^2", 0.01),
     ("Pa", "9.80665 m/s^2*kg/m^2", 9.80665),
-    ("Pa", "1 N*m**-2", 1.0),
     ("Pa", "1 kN*m^-1.5*m^-0.5", 1e3),
     ("", "30 %", 0.3),
     ("", "0.3", 0.3),
-    ("", 1, 1.0),
 ]
 
 
@@ -63,23 +58,14 @@ NO_QUANTITY = "is not a quantity: write it like "
 WRONG = [
     ("m/s", "7.2 kg", '= "7.2 kg" has the wrong unit: expected a quantity in m/s, like "7.2 km/h"'),
     ("", "0.3 m", '= "0.3 m" has the wrong unit: expected a pure number, like 0.3'),
-    # An angle is not a pure number, nor the reverse.
     *((*case, "wrong unit") for case in (("", "25 deg"), ("", "0.5 rad"), ("rad", "50 %"), ("rad", "3 mm/m"))),
-    # An unknown unit with the nearest, or with those that are usual.
     ("Pa", "20 KPa", "unknown unit 'KPa'", "did you mean", "'kPa'"),
-    ("N/m", "50 kN/mm2", "unknown unit 'mm2'", "did you mean", "'mm'"),
     ("m/s", "5 fast", "unknown unit 'fast': valid names: ", "km/h"),
-    ("m", "2 m/s/", "is not a quantity: its unit cannot be read"),
-    # A number without its unit, and a unit without its number.
     ("m", 0.3, '= 0.3 has no unit: write it like "0.3 m"'),
-    ("rad", "25", '= "25" has no unit: write it like "25 deg"'),
-    ("m/s", "km/h", 'like "7.2 km/h"'),
-    # A decimal comma is not read as another number.
     *(("m/s", written, written) for written in ("7,2 km/h", "[7, 2] km/h")),
     *((unit, other, NO_QUANTITY) for unit in ("m", "") for other in (True, [1.0], {"a": 1}, None, b"2 m")),
     *(("m", written, NO_QUANTITY) for written in ("", " ", "m 2 m)", "\x00", "nan m", "inf m", "9**9**9**9 m")),
     *((unit, value, "finite") for unit, value in (("m", "1e400 m"), ("", math.nan), ("", math.inf), ("", 10**400))),
-    # Powers of units are one digit; a larger one is not computed.
     *(("m/s", f"1 {power}", "has an unreadable unit") for power in ("m^9^9^9", "m**9**9", "m^-99", "m^1.25")),
     ("m/s", f"{'1' * 400} km/h", "has 405 characters; a quantity may have at most 100: write it like"),
 ]
@@ -124,15 +110,11 @@ def test_a_displayed_quantity_reads_back_as_the_same_value(number, units):
 # --- changes to a problem file from the command line: ``--set KEY=VALUE`` ---
 
 CHANGES = [
-    ('scene.tow_speed="2.5 m/s"', lambda p: p.scene().tow_speed, 2.5),
     ("scene.tow_speed=2.5 m/s", lambda p: p.scene().tow_speed, 2.5),
     ("effects.strength_wave={amplitude = 0, wavelength = '1 m'}", lambda p: p.scene().effects.waves[0].wavelength, 1.0),
     ("effects.added_mass=false", lambda p: p.scene().effects.added_mass, False),
     ("soil.name=heavy clay", lambda p: p.scene().soil.name, "heavy clay"),
-    ("title=A = B", lambda p: p.title, "A = B"),
     ('variables."share.height".upper=0.4 m', lambda p: p.variables["share.height"].upper, 0.4),
-    ("variables.share.height.guess=20 cm", lambda p: p.scene().share.height, 0.2),
-    ('require.loosened_radius.at_least="0.1 m"', lambda p: p.table.require["loosened_radius"].at_least, "0.1 m"),
     ("variables.soil.density={ lower = '1.3 t/m^3', upper = '1.5 t/m^3' }", lambda p: p.scene().soil.density, 1400.0),
     ("scene.tow_speed=5 mph", lambda p: p.displays["scene.tow_speed"].symbol, "mph"),
 ]

@@ -79,8 +79,7 @@ WRONG_FILES = [
     (HEADER + "3.6, 40, , 0.1\n" + ROWS, "line 2, column 'mean_draft [kN]': the cell is empty"),
     (HEADER + "3.6, 40, 3.9, 0.1, 7\n", "line 2: the row has 5 cells"),
     (HEADER + "3.6, 40, 1e308, 0.1\n", "'1e308' is not a finite number"),
-    (HEADER + "3.6, 40, 4.0, -0.1
-", "line 2: sigma = -100 must be above 0"),
+    (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2: sigma = -100 must be above 0"),
     ("mean_draft [kN]\tsigma [kN]\n4,1\t0,1\n", "'4,1' is not a number: write a decimal point"),
     ("", "the file is empty"),
 ]

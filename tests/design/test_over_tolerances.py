@@ -212,15 +212,6 @@ def test_of_very_many_combinations_only_the_neighbours_are_tried():
     assert best.rounded(tip_width=step * math.sqrt(1.5), y=step * math.sqrt(6.0)).screened == 1
 
 
-def test_values_without_an_optimum_that_derivatives_confirm():
-    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.9, 0.0, 1.0))
-    d.minimise((ca.log(x - 0.5) + 1.0) ** 2 + ca.fabs(y - 0.3))
-    found = d.solve().rounded(x=[0.4, 0.8])
-    assert found.objective == pytest.approx((math.log(0.3) + 1.0) ** 2, abs=1e-6)
-    assert found.status == "unconfirmed"
-    assert "x = 0.4 is infeasible: not solved" in str(found)
-
-
 def test_every_infeasible_combination_is_named():
     best, _, _ = _solved(most=2.5)
     with pytest.raises(po.InfeasibleDesign) as refusal:

@@ -36,13 +36,7 @@ SMALL = 0.25
 """An objective below this part of its typical size counts as small: near 0 a fraction of it would mean nothing."""
 
 
-class _Refinements:
-    """Bounds of the refinements of the integration steps."""
-
-    most: Final = 4
-    # A refinement must reduce the excess of the error to this part of the last one; otherwise more steps do not help.
-    progress: Final = 0.5
-    coarse: Final = 1e-6  # A program whose method has a fixed setting gets a warning above this relative gap.
+_MOST_REFINEMENTS: Final = 4
 
 
 def with_enough_steps(
@@ -64,17 +58,19 @@ def with_enough_steps(
         The program, the points, and a warning for each error that is still too large.
     """
     wanted, factor, last = program.wanted_error, program.refinement, math.inf
-    for number in range(_Refinements.most + 1):
+    for number in range(_MOST_REFINEMENTS + 1):
         # Of the objective at any point, or the violation of a limit if that is larger.
         value_error = max(max(gap_of(program, p, point), _violation(program, p, point)) for point in points)
         slope_error = _slope_error(program, p, points[0])
         excess = max(value_error / (wanted or math.inf), slope_error / program.wanted_of_derivatives)
         # A motion may be too sensitive for any number of steps.
-        if excess <= 1.0 or excess > _Refinements.progress * last or number == _Refinements.most:
+        # A refinement must reduce the excess of the error to this part of the last one; otherwise more steps do not
+        # help.
+        if excess <= 1.0 or excess > 0.5 * last or number == _MOST_REFINEMENTS:
             break
         if limit.passed("finer integration steps"):
             break
-        progress(f"refining: error {max(value_error, slope_error):.1e}", number / _Refinements.most)
+        progress(f"refining: error {max(value_error, slope_error):.1e}", number / _MOST_REFINEMENTS)
         factor *= steps_factor(excess)
         try:
             finer = program.with_steps(p, factor, [point.y for point in points])
@@ -109,7 +105,8 @@ def _slope_error(program: Program, p: Vector, best: Point) -> float:
 def _warnings(program: Program, value_error: float, slope_error: float) -> Iterator[str]:
     """Yield a warning for each of the two errors that is larger than wanted."""
     wanted, wanted_of_derivatives = program.wanted_error, program.wanted_of_derivatives
-    if wanted is None and value_error > _Refinements.coarse:
+    # A program whose method has a fixed setting gets a warning above this relative gap.
+    if wanted is None and value_error > 1e-6:
         yield (
             f"the optimiser's objective has a relative error of {value_error:.1e}: use more steps or a tighter"
             " tolerance"
@@ -136,11 +133,8 @@ def _violation(program: Program, p: Vector, point: Point) -> float:
     return program.violation(np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)]))
 
 
-class _Aside:
-    """A step from a point along a suspicious direction."""
-
-    step: Final = 0.02  # scaled
-    flat: Final = 1e-9  # The direction is flat if the objective changes by less than this fraction.
+# Length of a step aside, as a fraction of a range.
+_ASIDE: Final = 0.02
 
 
 def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
@@ -169,7 +163,7 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
         curvatures, directions = known = curvatures_at(program, p, at, exact=False)
         if not curvatures.size or curvatures[0] >= -Zero.curvature:
             return replace(at, curvatures=known)
-        step = _Aside.step * directions[:, 0] / np.max(np.abs(directions[:, 0]))
+        step = _ASIDE * directions[:, 0] / np.max(np.abs(directions[:, 0]))
         starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
         points = [program.solve(start, p, SolveOptions(near=True, exact=False, enough=True)) for start in starts]
         found = [point for point in points if point.solved and point.f < at.f]
@@ -229,10 +223,11 @@ def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> boo
     """Return whether the objective stays the same after a step along a direction."""
     leading = int(np.argmax(np.abs(direction)))
     for sign in (1.0, -1.0):
-        moved = at.y + sign * _Aside.step * direction / abs(direction[leading])
+        moved = at.y + sign * _ASIDE * direction / abs(direction[leading])
         if np.all((moved >= 0.0) & (moved <= 1.0)):
             there = program.solve(moved, p, SolveOptions(near=True), fixed=[leading])
-            return there.solved and abs(there.f - at.f) <= _Aside.flat * max(1.0, abs(at.f))
+            # The direction is flat if the objective changes by less than this fraction.
+            return there.solved and abs(there.f - at.f) <= 1e-9 * max(1.0, abs(at.f))
     return False
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
 
 import numpy as np
 
@@ -25,18 +24,6 @@ from plough_opt.design.search.explore import Explored, Progress, explore
 from plough_opt.design.search.feasible import feasible_designs, from_least_violation, nearest_feasible
 from plough_opt.design.search.landscape import Evaluations, Landscape, concatenated, only_falls
 from plough_opt.design.search.polish import AS_FOUND, converged_tightly, point_as_found, polished
-
-
-class _Optima:
-    """Which ends of a search IPOPT optimises, and which of the optima count."""
-
-    most: Final = 6  # ends for each round of the search
-    can_win: Final = 0.3  # relative excess over the best end up to which an end is optimised
-    apart: Final = 0.02  # least distance between them
-    # The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
-    least_scale: Final = 1e-4
-    same: Final = 1e-4  # Optima count as the same if no scaled variable differs by this much.
-
 
 # Longest move of a variable in a descent that stays in the basin of its start. A rise by this fraction is a barrier
 # between basins, sought at so many designs on the way.
@@ -129,7 +116,8 @@ def _searched(landscape: Landscape, vary: tuple[int, ...], request: Request) -> 
             f" {program.declared.ranges()}: tighten the bounds, or shorten the duration",
             "no value",
         )
-    least_scale, most = _Optima.least_scale * float(np.nanmedian(np.abs(sample.f))), _Optima.most * effort.rounds
+    # The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
+    least_scale, most = 1e-4 * float(np.nanmedian(np.abs(sample.f))), 6 * effort.rounds
     if np.any(ends.feasible) or not required:
         program, points = _optima(landscape, ends, least_scale, most, request)
     if not points and required:
@@ -161,8 +149,9 @@ def _optima(
         most: number of ends to optimise.
         request: of the solve.
     """
-    ends = ends.distinct(_Optima.apart)
-    limit = ends.key[0] + _Optima.can_win * abs(ends.key[0])
+    ends = ends.distinct(0.02)
+    # Ends that are worse by a larger part cannot win.
+    limit = ends.key[0] + 0.3 * abs(ends.key[0])
     ends = ends.select(ends.key <= limit).select(slice(most))
     scale = max(abs(float(ends.f[0])), least_scale) * landscape.objective_scale
     program = with_sure_steps(landscape.program.with_objective_scale(scale), request.p, list(ends.points))
@@ -172,7 +161,8 @@ def _optima(
             break
         request.progress(f"optimising basin {number + 1} of {len(ends.f)}", number / len(ends.f))
         point = polished(program, request.p, y, request.limit)
-        if point.solved and not any(np.max(np.abs(point.y - other.y)) < _Optima.same for other in points):
+        # Optima count as the same if no scaled variable differs by this much.
+        if point.solved and not any(np.max(np.abs(point.y - other.y)) < 1e-4 for other in points):
             points.append(point)
     return program, points
 

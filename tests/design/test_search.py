@@ -202,7 +202,7 @@ LIMITS = [{"refinements": 0}, {"steps": 60}, {"steps": 24}]
 def test_steps_that_stay_too_coarse_are_reported(monkeypatch, build_r1, limit):
     monkeypatch.setattr(tight_integration.Steps, "phase_per_step", 40.0)
     monkeypatch.setattr(tight_integration.Steps, "most", limit.get("steps", 50_000))
-    monkeypatch.setattr(confirmation._Refinements, "most", limit.get("refinements", 4))
+    monkeypatch.setattr(confirmation, "_MOST_REFINEMENTS", limit.get("refinements", 4))
     best = build_r1().design.solve(search="local")
     assert not best.gap <= 1e-8
     assert any("was not reached" in warning for warning in best.warnings)

@@ -95,23 +95,13 @@ def newton_step(
     return solution[:n], solution[n:]
 
 
-class _QuadraticProgram:
-    """Bounds of a quadratic program: of its curvatures, and of what it takes for contradictory limits."""
-
-    # Smaller curvatures are raised to this, or to this part of the largest if that is below 1, so that the program is
-    # strictly convex.
-    least_curvature: Final = 1e-4
-    # Of the slacks: far below the weight of a violation, so that hardly any slack is left where none is needed.
-    slack_curvature: Final = 1e-2
-    # Distance left by the least-distance problem below which the limits contradict each other.
-    infeasible: Final = 1e-13
-
-
 def made_convex(hessian: Vector) -> Vector:
     """Return a Hessian with every eigenvalue replaced by its absolute value, or a least curvature if that is larger."""
     sizes, directions = np.linalg.eigh(hessian)
     sizes = np.abs(sizes)
-    least = max(_QuadraticProgram.least_curvature * min(1.0, float(np.max(sizes))), np.finfo(float).eps)
+    # Smaller curvatures are raised to this, or to this part of the largest if that is below 1, so that the program is
+    # strictly convex.
+    least = max(1e-4 * min(1.0, float(np.max(sizes))), np.finfo(float).eps)
     return np.asarray((directions * np.maximum(sizes, least)) @ directions.T)
 
 
@@ -191,7 +181,8 @@ def quadratic_program(
     target = np.zeros(len(system))
     target[-1] = 1.0
     weights, distance = nnls(system, target)
-    if distance < _QuadraticProgram.infeasible:
+    # Distance left by the least-distance problem below which the limits contradict each other.
+    if distance < 1e-13:
         return None
     # Positive weights mark the active limits; with these the step follows to rounding.
     active = np.flatnonzero(weights)
@@ -255,7 +246,8 @@ def relaxed_step(
     """
     (g, gradient, jacobian), n, count = at, len(y), int(np.max(owner, initial=-1)) + 1
     gives, unlimited = np.eye(count)[owner], np.full(len(g), np.inf)
-    whole = np.diag(np.full(n + count, _QuadraticProgram.slack_curvature))
+    # Of the slacks: far below the weight of a violation, so that hardly any slack is left where none is needed.
+    whole = np.diag(np.full(n + count, 1e-2))
     whole[:n, :n] = curvature
     found = optimum_step(
         whole,

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -75,15 +75,6 @@ class BuiltProgram:
 
     def _solver_of(self, nlp: Nlp) -> Solver:
         return Solver(nlp, self.program.low, self.program.high, self.program.ipopt)
-
-
-class _Scaling:
-    """Bounds of the scales, and of the sample whose medians set them if the guess has no value."""
-
-    smallest: Final = 1e-12  # size that an objective or a requirement is taken to have at least
-    # Sizes of the sample; the larger one is tried if no design of the smaller one has a value.
-    samples: Final = (256, 4096)
-    seed: Final = 256
 
 
 # Built programs that are cached, for different numbers of steps or scales.
@@ -350,8 +341,9 @@ class Program:
             p: parameters.
             error: the reason why the guess has no value, raised if the sample has none either.
         """
-        for count in _Scaling.samples:
-            points = np.random.default_rng(_Scaling.seed).random((count, len(self.declared.variables)))
+        # Sizes of the sample; the larger one is tried if no design of the smaller one has a value.
+        for count in (256, 4096):
+            points = np.random.default_rng(256).random((count, len(self.declared.variables)))
             f, g = self.population(points, p)
             sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)
             if np.any(sound):
@@ -443,7 +435,8 @@ def cached(cache: dict[Hashable, Cached], key: Hashable, make: Callable[[], Cach
 
 def _power_of_four(value: float) -> float:
     """Return the power of four nearest to a value's size, so that slightly different questions are scaled alike."""
-    return float(4.0 ** round(math.log(max(abs(value), _Scaling.smallest), 4.0)))
+    # An objective or a requirement is taken to have at least this size.
+    return float(4.0 ** round(math.log(max(abs(value), 1e-12), 4.0)))
 
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:

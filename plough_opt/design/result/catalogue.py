@@ -33,18 +33,8 @@ from plough_opt.design.search.landscape import (
 )
 from plough_opt.design.search.polish import AS_FOUND, point_as_found
 
-
-class _Screen:
-    """How combinations of catalogue values are screened."""
-
-    designs: Final = 2**16  # of all combinations together; each of them gets at least and at most
-    each: Final = (2, 128)
-    low_penalty: Final = 1.0  # of a violation in the second ranking, which keeps slightly infeasible combinations
-    combinations: Final = 30  # from which descents start
-    descents: Final = 2  # of each
-    searched: Final = 8  # combinations that can win and are searched in their free variables
-    search: Final = Effort(1024, looks=2)
-    can_win: Final = 0.15  # Those within this part of the lowest can win.
+# Combinations from which descents start.
+_SCREENED: Final = 30
 
 
 def _promising(
@@ -72,7 +62,8 @@ def _promising(
     """
     count, free = len(combinations), [k for k in range(len(optimum)) if k not in fixed]
     designs = with_variables(optimum, fixed, combinations)
-    each = int(np.clip(_Screen.designs // count, *_Screen.each)) if free else 0
+    # As many designs of all combinations together, but neither hardly any nor very many of each.
+    each = int(np.clip(2**16 // count, *(2, 128))) if free else 0
     whole = np.repeat(designs, 1 + each, axis=0)
     sampled = np.arange(len(whole)) % (1 + each) > 0
     if free:
@@ -80,25 +71,26 @@ def _promising(
         whole[np.ix_(np.flatnonzero(sampled), np.array(free))] = even_points(len(free), count * each, rng)
     every = landscape(whole)
     with np.errstate(invalid="ignore"):
-        loose = np.where(np.isfinite(every.f), every.f + _Screen.low_penalty * every.violation, np.inf)
+        # A second ranking keeps slightly infeasible combinations.
+        loose = np.where(np.isfinite(every.f), every.f + 1.0 * every.violation, np.inf)
     key = every.key.reshape(count, -1)
     strict, slack = (np.argsort(own.reshape(count, -1).min(axis=1), kind="stable").tolist() for own in (key, loose))
-    half = _Screen.combinations // 2
+    half = _SCREENED // 2
     chosen = list(dict.fromkeys([*kept, *strict[:half], *slack[:half], *strict]))
-    chosen = chosen[: max(_Screen.combinations, len(kept))]
+    chosen = chosen[: max(_SCREENED, len(kept))]
     found: dict[int, Evaluations] = {}
     for number in chosen:
-        rows = number * (1 + each) + np.argsort(key[number], kind="stable")[: _Screen.descents]
+        rows = number * (1 + each) + np.argsort(key[number], kind="stable")[:2]
         late = bool(found) and limit.passed("descents in some combinations")
         own = every.select(rows[:1] if late or not free else rows)
         found[number] = own if late or not free else _descended(landscape, own, fixed)
     order = sorted(found, key=lambda k: (found[k].key[0], k))
     lowest = found[order[0]].key[0]
-    for number in order[: _Screen.searched] if len(free) > 1 else ():
+    for number in order[:8] if len(free) > 1 else ():
         own = found[number]
-        if own.key[0] > lowest + _Screen.can_win * abs(lowest) or limit.passed("searches in some combinations"):
+        if own.key[0] > lowest + 0.15 * abs(lowest) or limit.passed("searches in some combinations"):
             break
-        ends = explore(landscape, own.points[0], free, _Screen.search, seed=seed, held=fixed, limit=limit).ends
+        ends = explore(landscape, own.points[0], free, Effort(1024, looks=2), seed=seed, held=fixed, limit=limit).ends
         found[number] = concatenated([ends, own]).distinct(0.0, 1)
     return {k: found[k].points[0] for k in sorted(found, key=lambda k: (found[k].key[0], k))}
 
@@ -120,16 +112,6 @@ def _descended(landscape: Landscape, starts: Evaluations, fixed: list[int]) -> E
 
 Catalogue = float | str | Sequence[float | str]
 """The values that a variable may take, or a step whose multiples it may take: numbers in SI, or texts with units."""
-
-
-class _Values:
-    """Which catalogue values are the optimum's or a bound's, and which multiples of a step exist."""
-
-    # A value within this fraction of the range from the optimum is taken for it: the optimiser stops this far from a
-    # bound.
-    same: Final = 1e-6
-    beyond_bound: Final = 1e-12  # A value beyond a bound by this fraction of the range counts as the bound.
-    most_multiples: Final = 1e15  # Floating point cannot distinguish larger multiples of a step.
 
 
 @dataclass(frozen=True)
@@ -160,7 +142,9 @@ class Allowed:
             near = self.offered[max(0, min(int(below), len(self.offered) - 1)) :][:5]
         values = self._in_unit(near)
         nearest_value = min(values, key=lambda x: abs(x - optimum))
-        if abs(nearest_value - optimum) <= _Values.same * (v.upper - v.lower):
+        # A value within this fraction of the range from the optimum is taken for it: the optimiser stops this far from
+        # a bound.
+        if abs(nearest_value - optimum) <= 1e-6 * (v.upper - v.lower):
             return [nearest_value]
         lower, higher = [x for x in values if x < optimum], [x for x in values if x > optimum]
         return [*lower[-1:], *higher[:1]]
@@ -210,10 +194,12 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     if isinstance(catalogue, list | tuple):
         catalogue = [in_si(what, value, v.unit) for value in catalogue]
     values = array_of(catalogue, wrong, lambda array: array.size and np.all(np.isfinite(array))).ravel()
-    reserve = _Values.beyond_bound * (v.upper - v.lower)
+    # A value beyond a bound by this fraction of the range counts as the bound.
+    reserve = 1e-12 * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
         step = plain_number(f"the step of '{v.name}'", values[0], v.unit, above=0.0)
-        if max(abs(v.lower), abs(v.upper)) / _Values.most_multiples > step:
+        # Floating point cannot distinguish larger multiples of a step.
+        if max(abs(v.lower), abs(v.upper)) / 1e15 > step:
             raise InputError(f"the step {step:g} of '{v.name}' is too small for its bounds: use a larger one")
         first, last = math.ceil((v.lower - reserve) / step), math.floor((v.upper + reserve) / step)
         found = Allowed(number, v, range(first, last + 1), step)
@@ -228,15 +214,7 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     return found
 
 
-class _Combinations:
-    """Most combinations that are screened, optimised and named."""
-
-    screened: Final = 100_000  # This many take some seconds; from here on, only the optimum's neighbours are tried.
-    # The same for the runs of their designs, of which a design over its tolerances has some seventy.
-    runs_screened: Final = 2_000_000
-    optimised: Final = 20
-    neighbours: Final = 4096  # that are accepted
-    named: Final = 5  # of those that fail, in an error message
+_MOST_OPTIMISED: Final = 20
 
 
 # An optimised design may lie above its start by this fraction of the objective: the error of a search's rough runs.
@@ -258,7 +236,9 @@ def rounded(seed: int, unrounded: float, solved: Solved, catalogues: Mapping[str
     fixed = [own.number for own in offered]
     landscape = Landscape(solved.program, p)
     count = math.prod(len(own.offered) for own in offered)
-    few = count < _Combinations.screened and count * solved.program.population.runs < _Combinations.runs_screened
+    # This many take some seconds; from here on, only the optimum's neighbours are tried.
+    # The same for the runs of their designs, of which a design over samples of a soil has many.
+    few = count < 100_000 and count * solved.program.population.runs < 2_000_000
     every = landscape.vectorised and few
     limit = TimeLimit("auto")
     starts = _starts(landscape, solved, offered, seed, limit if every else None)
@@ -321,16 +301,16 @@ def _starts(
     """
     neighbours = [own.neighbours(float(solved.values[own.number])) for own in offered]
     near = math.prod(map(len, neighbours))
-    if limit is None and near > _Combinations.neighbours:
+    if limit is None and near > 4096:
         raise InputError(f"{len(neighbours)} variables have too many combinations of neighbours: round fewer at a time")
     combinations = list(itertools.product(*([own.values() for own in offered] if limit else neighbours)))
     scaled = [[own.variable.scaled(x) for own, x in zip(offered, values, strict=True)] for values in combinations]
     fixed = [own.number for own in offered]
     if limit:
-        always = set(itertools.product(*neighbours)) if near <= _Combinations.optimised else set()
+        always = set(itertools.product(*neighbours)) if near <= _MOST_OPTIMISED else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
         screened = _promising(landscape, solved.point.y, fixed, np.array(scaled), kept, seed, limit)
-        found = [*screened.items()][: _Combinations.optimised]
+        found = [*screened.items()][:_MOST_OPTIMISED]
         return [(start, combinations[number]) for number, start in found]
     return list(zip(with_variables(solved.point.y, fixed, scaled), combinations, strict=True))
 
@@ -362,7 +342,7 @@ def _none_feasible(program: Program, tried: Sequence[Choice], screened: int) -> 
     units = {v.name: v.unit for v in program.declared.variables}
     texts = [
         f"{values_in_words(choice.values, units)}: {failures(program, choice.conflicts) or 'not solved'}"
-        for choice in least[: _Combinations.named]
+        for choice in least[:5]
     ]
     none = f"none of {screened} combinations of values meets" if screened > 1 else "the only combination does not meet"
     rest = f"; and {len(tried) - len(texts)} more that were optimised" if len(tried) > len(texts) else ""

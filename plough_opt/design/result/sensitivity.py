@@ -35,15 +35,8 @@ NO_PERCENTAGE = 1e-9
 """A smaller percentage is rounding, and shown as 0."""
 
 
-class _Derivatives:
-    """What of an optimum's derivatives is rounding, and by how much a check changes a value."""
-
-    same: Final = 1e-9  # One-sided derivatives with a smaller relative difference count as equal.
-    # Results below this part of their size, the optimiser's tolerance, count as 0: they have no elasticity.
-    no_result: Final = 1e-10
-    # Relative change of the value for which a check solves again: the differences have errors of its square, and of
-    # the optimiser's 1e-10 divided by it.
-    check_step: Final = 2e-4
+# One-sided derivatives with a smaller relative difference count as equal.
+_SAME: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -196,7 +189,7 @@ class Solved:
         sizes, values = named(slopes), named(self._unscaled(self._active.y))
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
-        differs = bool(np.max(np.abs(up.y - down.y)) > _Derivatives.same * np.max(np.abs([up.y, down.y])))
+        differs = bool(np.max(np.abs(up.y - down.y)) > _SAME * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
             value=target.value,
@@ -276,7 +269,9 @@ class Solved:
         scales = np.r_[max(abs(here[0]), self.program.objective_scale), ranges]
         errors, steps = [], []
         for move, sign in ((up, 1.0), (down, -1.0)):
-            step = min(_Derivatives.check_step * size, 0.5 * move.until)
+            # Relative change of the value for which a check solves again: the differences have errors of its square,
+            # and of the optimiser's 1e-10 divided by it.
+            step = min(2e-4 * size, 0.5 * move.until)
             expected = np.r_[objective, move.y * self._slopes]
             slope = (self._solved_at(target, sign * step) - here) / (sign * step)
             errors.append((slope - expected) * size / scales)
@@ -284,7 +279,7 @@ class Solved:
         (rising, falling), (up_step, down_step) = errors, steps
         # If the same limits decide on both sides, the mean is free of the curvature.
         mean = (rising * down_step + falling * up_step) / (up_step + down_step)
-        same = np.allclose(up.y, down.y, rtol=_Derivatives.same, atol=0.0)
+        same = np.allclose(up.y, down.y, rtol=_SAME, atol=0.0)
         return float(np.max(np.abs(mean if same else np.r_[rising, falling])))
 
     def _solved_at(self, target: _Target, step: float) -> Vector:
@@ -317,32 +312,15 @@ class Solved:
 
 def _elasticity(derivative: float, value: float, result: float, size: float) -> float | None:
     """Return per cent of a result per per cent of a value; None if the result is 0 but for rounding of its size."""
-    return None if abs(result) <= _Derivatives.no_result * size else derivative * value / result
+    # Results below this part of their size, the optimiser's tolerance, count as 0: they have no elasticity.
+    return None if abs(result) <= 1e-10 * size else derivative * value / result
 
 
 Mask = NDArray[np.bool_]
 
 
-class _Newton:
-    """Bounds of Newton's method, which finds an optimum to rounding."""
-
-    # It ends when no scaled variable moves by more than this: the conditions then hold to rounding.
-    converged: Final = 1e-12
-    most_steps: Final = 10
-    lost: Final = 1e-3  # scaled distance from IPOPT's point beyond which it has left for another optimum
-    # Where it fails and the curvature at IPOPT's point is below this, vanishing curvature is the reason.
-    slow_curvature: Final = 1e-4
-
-
-class _Deciding:
-    """Which sides of limits decide an optimum found to rounding, and which only touch it."""
-
-    zero: Final = 1e-8  # Scaled margins and multipliers below this count as zero.
-    # Scaled gradients below this count as zero: a side that no variable changes cannot be touched by a design.
-    no_gradient: Final = 1e-12
-    weak_rate: Final = 1e-9  # Rates of weakly active sides below this part of the largest rate count as zero.
-    no_rate: Final = 1e-13  # Relative rates below this are rounding: the side never begins or ceases to decide.
-    most_weak: Final = 8  # More weakly active sides have too many subsets to try.
+# Scaled margins and multipliers below this count as zero.
+_ZERO: Final = 1e-8
 
 
 _FLAT = (
@@ -441,9 +419,10 @@ class ActiveSet:
         self._equal = np.array([side.equality for side in self.sides], dtype=bool)
         self._signs, self._bounds, self._logs = np.array([(one.sign, one.bound, one.log) for one in self.sides]).T
         self._settle(point)
-        self.deciding = self._equal | (self.mu > _Deciding.zero)
-        touching = np.abs(self.slack) <= _Deciding.zero
-        touching &= np.any(np.abs(self.gradients[:, : self.n]) > _Deciding.no_gradient, axis=1)
+        self.deciding = self._equal | (self.mu > _ZERO)
+        touching = np.abs(self.slack) <= _ZERO
+        # Scaled gradients below this count as zero: a side that no variable changes cannot be touched by a design.
+        touching &= np.any(np.abs(self.gradients[:, : self.n]) > 1e-12, axis=1)
         self.weak = np.flatnonzero(touching & ~self.deciding)
         self._refuse_degenerate()
 
@@ -455,19 +434,22 @@ class ActiveSet:
         mu = np.where(self._equal, pulls, np.maximum(0.0, pulls))
         self._evaluate(point.y, mu)
         active = self._equal | decides(self.slack, mu)
-        for _ in range(_Newton.most_steps):
+        for _ in range(10):
             mu = np.zeros(len(mu))
             step, mu[active] = self._newton_step(active, self.gradient[: self.n], self.slack[active])
             y = self.y + step
-            if not np.all(np.abs(y - point.y) < _Newton.lost):
+            # Farther from IPOPT's point it has left for another optimum.
+            if not np.all(np.abs(y - point.y) < 1e-3):
                 break
             self._evaluate(y, mu)
             # An active side that pushes outwards is released; a broken one becomes active.
-            wrong = ~self._equal & np.where(active, mu < -_Deciding.zero, self.slack < -_Deciding.zero)
-            if not np.any(wrong) and np.max(np.abs(step)) < _Newton.converged:
+            wrong = ~self._equal & np.where(active, mu < -_ZERO, self.slack < -_ZERO)
+            # The conditions then hold to rounding.
+            if not np.any(wrong) and np.max(np.abs(step)) < 1e-12:
                 return
             active = active ^ wrong
-        if not self._curved(self.gradients[active, : self.n], _Newton.slow_curvature):
+        # Where it fails and the curvature at IPOPT's point is below this, vanishing curvature is the reason.
+        if not self._curved(self.gradients[active, : self.n], 1e-4):
             raise InputError(_FLAT)
         raise NotConverged(
             "the limits that decide this optimum cannot be distinguished from those that it only touches", "unsettled"
@@ -541,11 +523,13 @@ class ActiveSet:
         rate = direction * np.where(active, mu_rate, opening)
         rate[self._equal] = 0.0
         size = max(size, float(np.max(np.abs(rate))))
-        if np.any(rate[self.weak] < -_Deciding.weak_rate * size):
+        # Rates of weakly active sides below this part of the largest rate count as zero.
+        if np.any(rate[self.weak] < -1e-9 * size):
             return None
         rate[self.weak] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(rate < -_Deciding.no_rate * size, stock / -rate, np.inf)
+            # Relative rates below this are rounding: the side never begins or ceases to decide.
+            reach = np.where(rate < -1e-13 * size, stock / -rate, np.inf)
         first = int(np.argmin(reach))  # A design has bounds, so it has sides.
         if not np.isfinite(reach[first]):
             return Move(dy, math.inf, "")
@@ -578,7 +562,8 @@ class ActiveSet:
                 f"the limits that decide ({', '.join(self.names(self.deciding))}) are not independent: their"
                 " multipliers are not unique, so there are no derivatives; drop or loosen one of them"
             )
-        if len(self.weak) > _Deciding.most_weak:
+        # More weakly active sides have too many subsets to try.
+        if len(self.weak) > 8:
             raise InputError(
                 f"too many limits just touch the optimum without deciding it: {', '.join(self.names(self.weak))};"
                 " loosen them"

@@ -28,32 +28,16 @@ LONGEST = 0.3
 """Longest move of a variable, as far as the quadratic programs of a multimodal landscape mean anything."""
 
 
-class _Steps:
-    """Bounds of a descent's steps: how many, how long, and which are tried side by side."""
-
-    most: Final = 25
-    # A descent ends when a step is shorter than this, or lowers the merit by less than this fraction: along a flat
-    # valley IPOPT goes on.
-    shortest: Final = 1e-7
-    # Fractions of a step that are tried side by side. Steps where curvatures are negative are too short; therefore
-    # these parts of the longest step are tried, too, along the direction of the most negative curvature. From a place
-    # between two ripples quadratic programs lead to the wide one, and a search of eight variables misses the narrow
-    # one.
-    fractions: Final = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
-    lengths: Final = 0.5 ** np.arange(12.0)
-    # A curvature counts as negative below this, relative to the largest: quotients are not more accurate. A slope below
-    # this part of what the curvature adds over the longest step does not show the lower side: both are tried.
-    concave: Final = -1e-4
-    level: Final = 1e-3
-    # If even the whole step leads up and no fraction down, there is a kink nearby, across which quotients show no
-    # slope: they are formed over this part of the distance, and so is the longest step, until it is this part of the
-    # first. Over much less a run's rounding (about 1e-13) would drown the slopes.
-    shorter: Final = 0.03
-    shortest_reach: Final = 1e-4
-    # A requirement with more rows, such as a deflection at every output, enters with its worst rows only.
-    most_rows: Final = 6
-    # Weight of a violation within the feasibility tolerance: the objective must not exploit the tolerance.
-    weight_if_feasible: Final = 1e4
+# A descent ends when a step is shorter than this, or lowers the merit by less than this fraction: along a flat
+# valley IPOPT goes on.
+_SHORTEST: Final = 1e-7
+# Fractions of a step that are tried side by side. Steps where curvatures are negative are too short; therefore
+# these parts of the longest step are tried, too, along the direction of the most negative curvature. From a place
+# between two ripples quadratic programs lead to the wide one, and a search of eight variables misses the narrow
+# one.
+_FRACTIONS: Final = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
+# A requirement with more rows, such as a deflection at every output, enters with its worst rows only.
+_MOST_ROWS: Final = 6
 
 
 def descend(
@@ -93,32 +77,35 @@ class _Descent:
         self._landscape, self._program, self._box = landscape, landscape.program, box
         self._longest, self._objective = longest, objective
         self._owner = np.array(self._program.owner, dtype=int)
-        self._fractions = _Steps.fractions if longest == LONGEST else _Steps.fractions[_Steps.fractions <= 1.0]
+        self._fractions = _FRACTIONS if longest == LONGEST else _FRACTIONS[_FRACTIONS <= 1.0]
         # The best design so far: whether it is infeasible, its merit, and its variables.
         self._best: tuple[bool, float, list[float]] | None = None
 
     def end_from(self, start: Vector) -> Evaluations:
         y, lam_g, rows, weight, reach = start, np.zeros(len(self._owner)), np.empty(0, dtype=int), 1.0, 1.0
-        for number in range(_Steps.most):
+        for number in range(25):
             derivatives = difference_quotients(self._values, y, reach)
             if derivatives is None:
                 break
             rows = np.union1d(rows, self._worst_rows(derivatives[0][1:]))
             # The curvature depends on the multipliers that the first step yields.
             moves, lam_g[rows] = self._moves(y, derivatives, rows, lam_g[rows], 1 if number else 3, reach)
-            if np.max(np.abs(moves[1])) < reach * _Steps.shortest:
+            if np.max(np.abs(moves[1])) < reach * _SHORTEST:
                 break
             # Above the largest multiplier no optimum breaks a limit.
             weight = max(0.5 * weight, 2.0 * float(np.max(np.abs(lam_g), initial=0.0)))
             line = np.clip(y + moves, *self._box)
             merit = self._merits(line, weight)
-            lowest, least_gain = int(np.nanargmin(merit)), _Steps.shortest * abs(merit[0])
+            lowest, least_gain = int(np.nanargmin(merit)), _SHORTEST * abs(merit[0])
             if merit[lowest] < merit[0] - least_gain:
                 y = line[lowest]
-            elif merit[1] <= merit[0] + least_gain or reach < _Steps.shortest_reach:
+            elif merit[1] <= merit[0] + least_gain or reach < 1e-4:
                 break
             else:
-                reach *= _Steps.shorter
+                # If even the whole step leads up and no fraction down, there is a kink nearby, across which quotients
+                # show no slope: they are formed over this part of the distance, and so is the longest step, until it is
+                # this part of the first. Over much less a run's rounding (about 1e-13) would drown the slopes.
+                reach *= 0.03
         return self._landscape(np.array([start if self._best is None else self._best[2]]), finer=FINER)
 
     def _values(self, designs: Vector) -> tuple[Vector, Vector]:
@@ -136,7 +123,8 @@ class _Descent:
         violation = self._landscape.violations(g).sum(axis=1)
         feasible = violation <= Violation.allowed
         with np.errstate(invalid="ignore"):
-            merit = f + np.where(feasible, _Steps.weight_if_feasible, Violation.weight) * violation
+            # Weight of a violation within the feasibility tolerance: the objective must not exploit the tolerance.
+            merit = f + np.where(feasible, 1e4, Violation.weight) * violation
         merit[~np.isfinite(merit)] = np.inf
         k = np.lexsort((merit, ~feasible))[0]
         if np.isfinite(merit[k]):
@@ -174,11 +162,13 @@ class _Descent:
         held = (np.abs(lam_y) > Zero.multiplier) & (np.abs(step) < longest)
         free = free_directions(np.vstack([at[2][np.abs(lam_g) > Zero.multiplier], np.eye(len(y))[held]]))
         curvatures, directions = reduced_curvatures(bent, free)
-        if np.any(curvatures < _Steps.concave):
+        # A curvature counts as negative below this, relative to the largest: quotients are not more accurate. A slope
+        # below this part of what the curvature adds over the longest step does not show the lower side: both are tried.
+        if np.any(curvatures < -1e-4):
             aside = directions[:, 0] / np.max(np.abs(directions[:, 0]))
             slope = gradient @ aside
-            farther = _Steps.lengths[:, None] * -np.copysign(longest, slope) * aside
-            level = abs(slope) < _Steps.level * abs(curvatures[0]) * longest
+            farther = 0.5 ** np.arange(12.0)[:, None] * -np.copysign(longest, slope) * aside
+            level = abs(slope) < 1e-3 * abs(curvatures[0]) * longest
             moves = np.vstack([moves, farther, *([-farther] if level else [])])
         return moves, lam_g * size
 
@@ -186,6 +176,6 @@ class _Descent:
         """Return the rows nearest to their limits: of a curve over time each dip of its margin can become active."""
         margin, chosen = self._program.margins(g), [np.empty(0, dtype=int)]
         for rows in np.split(np.arange(len(g)), self._program.first_rows[1:]) if len(g) else ():
-            few = len(rows) <= _Steps.most_rows
-            chosen.append(rows if few else rows[lowest_dips(margin[rows], _Steps.most_rows)])
+            few = len(rows) <= _MOST_ROWS
+            chosen.append(rows if few else rows[lowest_dips(margin[rows], _MOST_ROWS)])
         return np.concatenate(chosen)

@@ -27,17 +27,12 @@ AUTO_SECONDS = 20.0
 """Processor time after which no further part of an automatic search begins [s]; what has begun may take ten more."""
 
 
-class _Extent:
-    """Bounds of the extent of a search."""
-
-    designs: Final = (512, 2048, 4096)  # sample size with one, two, ... variables; the last one with more of them, too
-    most_runs: Final = 60_000  # in a sample, for designs with many runs: they take some seconds
-    one_by_one: Final = 256  # runs in a sample if they are integrated one by one, each for milliseconds
-    fewest: Final = 8  # designs of a sample
-    fewest_one_by_one: Final = 32  # unless they are integrated one by one
-    thorough: Final = 4  # rounds of a thorough search
-    descents: Final = 4  # from the lowest local minima of a sample, and for each variable
-    descents_each: Final = 3
+# Sample size with one, two, ... variables; the last one with more of them, too.
+_DESIGNS: Final = (512, 2048, 4096)
+# Runs in a sample if they are integrated one by one, each for milliseconds.
+_ONE_BY_ONE: Final = 256
+# Descents of a sample, to which those for each variable are added.
+_DESCENTS: Final = 4
 
 
 # Largest number of designs accepted as `search`: it takes days.
@@ -117,16 +112,17 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         vectorised: whether the runs of many designs are integrated together.
     """
     if vectorised:
-        usual = _Extent.designs[min(dimensions, len(_Extent.designs)) - 1]
-        designs = min(usual, max(_Extent.one_by_one, _Extent.most_runs // max(runs, 1)))
+        usual = _DESIGNS[min(dimensions, len(_DESIGNS)) - 1]
+        # Samples of designs with many runs take some seconds.
+        designs = min(usual, max(_ONE_BY_ONE, 60_000 // max(runs, 1)))
     else:
-        designs = max(_Extent.fewest_one_by_one, _Extent.one_by_one // max(runs, 1))
+        designs = max(32, _ONE_BY_ONE // max(runs, 1))
     number = number_of(search)
     if number is not None:
-        designs = max(_Extent.fewest, min(designs, number))
-    descents = _Extent.descents + _Extent.descents_each * dimensions
-    rounds = _Extent.thorough if isinstance(search, str) and search == "thorough" else 1
-    return Effort(designs, rounds, number, seconds_of(search), descents, _Extent.descents + dimensions)
+        designs = max(8, min(designs, number))
+    descents = _DESCENTS + 3 * dimensions
+    rounds = 4 if isinstance(search, str) and search == "thorough" else 1
+    return Effort(designs, rounds, number, seconds_of(search), descents, _DESCENTS + dimensions)
 
 
 def number_of(search: Search) -> int | None:

@@ -40,25 +40,13 @@ def notifier(progress: Progress | None) -> Progress:
     return progress
 
 
-class _Extent:
-    """Extent of a round. Lengths are fractions of a variable's range."""
-
-    # Half of a sample is stretched by this on either side and clipped, so that it includes bounds and corners.
-    stretch: Final = 0.15
-    neighbours: Final = 4  # for each variable; a local minimum of a sample is lower than all of them
-    block: Final = 2048  # designs between two looks at the clock if they are integrated side by side
-    one_by_one: Final = 32  # the same if they are integrated one by one, which can take half a minute
-    ends: Final = 24  # best ones around which a look searches
-    descents: Final = 8  # of a look
-    moves: Final = 256  # designs of each kind that a look tries
-    radius: Final = 0.05  # of the largest box around the two best ends; others are smaller by up to some decades
-    decades: Final = 2.0
-    positions: Final = 128  # along each variable through the two best ends
-    least_gain: Final = 1e-6  # fraction of the objective that justifies another look
-    # With up to so many variables a sample is dense: there is no descent from a design from which the objective falls
-    # all the way to a known end, up to a fraction that is rounding and the accuracy of the end.
-    dense: Final = 3
-    rise: Final = 1e-6
+# Half of a sample is stretched by this on either side and clipped, so that it includes bounds and corners.
+_STRETCH: Final = 0.15
+# Designs along each variable through the two best ends.
+_POSITIONS: Final = 128
+# With up to so many variables a sample is dense: there is no descent from a design from which the objective falls
+# all the way to a known end, up to a fraction that is rounding and the accuracy of the end.
+_DENSE: Final = 3
 
 
 @dataclass(frozen=True)
@@ -141,7 +129,7 @@ class _Search:
         n = len(self._variables)
         points = np.linspace(0.0, 1.0, count)[:, None] if n == 1 else even_points(n, count, rng)
         if n > 1:
-            points[1::2] = np.clip((1.0 + 2.0 * _Extent.stretch) * points[1::2] - _Extent.stretch, 0.0, 1.0)
+            points[1::2] = np.clip((1.0 + 2.0 * _STRETCH) * points[1::2] - _STRETCH, 0.0, 1.0)
         designs = np.vstack([with_variables(self._start, self._variables, points), self._start, *known])
         sampled = self._evaluated(designs)
         self._samples.append(sampled)
@@ -167,7 +155,7 @@ class _Search:
             if self._limit.passed("a closer look at the best designs"):
                 return
             self._progress("looking closer at the best designs", number / looks)
-            best = concatenated(self._ends).distinct(SAME, _Extent.ends)
+            best = concatenated(self._ends).distinct(SAME, 24)
             if not len(best.f):
                 return
             tried = self._landscape(np.clip(self._around(best.points, rng), self._low, self._high))
@@ -175,16 +163,17 @@ class _Search:
             lowest = lowest[np.isfinite(tried.key[lowest])]
             new = np.max(np.abs(best.points - tried.points[lowest, None]), axis=2).min(axis=1) > SAME
             new |= tried.key[lowest] < best.key[0]
-            self._descend(tried.points[lowest[new][: _Extent.descents]], "further descents")
+            self._descend(tried.points[lowest[new][:8]], "further descents")
             size = abs(best.f[0]) if best.feasible[0] else best.violation[0]
-            if not min(end.key[0] for end in self._ends) < best.key[0] - _Extent.least_gain * size:
+            # A smaller part of the objective does not justify another look.
+            if not min(end.key[0] for end in self._ends) < best.key[0] - 1e-6 * size:
                 return
 
     def _around(self, ends: Vector, rng: np.random.Generator) -> Vector:
         """Return designs around ends, which are given best first."""
-        some, count, n = self._variables, _Extent.moves, len(self._variables)
-        lines = np.tile(ends[:2, None, None], (n, _Extent.positions, 1))
-        lines[:, range(n), :, some] = np.linspace(0.0, 1.0, _Extent.positions)
+        some, count, n = self._variables, 256, len(self._variables)
+        lines = np.tile(ends[:2, None, None], (n, _POSITIONS, 1))
+        lines[:, range(n), :, some] = np.linspace(0.0, 1.0, _POSITIONS)
         if n == 1:
             return lines.reshape(-1, ends.shape[1])
         a = ends[rng.integers(max(1, len(ends) // 4), size=count)]
@@ -193,13 +182,15 @@ class _Search:
         whole = ends[0] + (ends[:, None] - ends).reshape(-1, ends.shape[1])
         whole = whole[rng.permutation(len(whole))[:count]]
         box = ends[rng.integers(min(2, len(ends)), size=count)]
-        radii = _Extent.radius * 10.0 ** rng.uniform(-_Extent.decades, 0.0, (count, 1))
+        # Boxes around the two best ends, the largest of them and others smaller by up to two decades.
+        radii = 0.05 * 10.0 ** rng.uniform(-2.0, 0.0, (count, 1))
         box[:, some] += radii * rng.uniform(-1.0, 1.0, (count, n))
         return np.vstack([lines.reshape(-1, ends.shape[1]), moved, whole, box])
 
     def _evaluated(self, designs: Vector) -> Evaluations:
         """Return the evaluated designs, as many as there is time for."""
-        block = _Extent.block if self._landscape.vectorised else _Extent.one_by_one
+        # Between two looks at the clock; integrated one by one, designs can take half a minute.
+        block = 2048 if self._landscape.vectorised else 32
         parts = [self._landscape(designs[:block])]
         for begin in range(block, len(designs), block):
             if self._limit.passed(f"part of the sample of {len(designs)} designs"):
@@ -210,7 +201,7 @@ class _Search:
     def _descend(self, starts: Vector, doing: str) -> list[int]:
         """Add the ends of descents from starts, and return the number of the end of each."""
         numbers = np.full(len(starts), -1)
-        if len(self._variables) <= _Extent.dense and self._landscape.vectorised:
+        if len(self._variables) <= _DENSE and self._landscape.vectorised:
             for number, end in enumerate(self._ends):
                 self._mark_falling(starts, numbers, number, end.points[0])
         for done, start in enumerate(starts):
@@ -221,7 +212,7 @@ class _Search:
             self._progress(doing, done / len(starts))
             numbers[done] = len(self._ends)
             self._ends.append(descend(self._landscape, start, (self._low, self._high)))
-            if len(self._variables) <= _Extent.dense and self._landscape.vectorised:
+            if len(self._variables) <= _DENSE and self._landscape.vectorised:
                 self._mark_falling(starts, numbers, len(self._ends) - 1, self._ends[-1].points[0])
         return list(map(int, numbers))
 
@@ -229,7 +220,7 @@ class _Search:
         """Note an end for those of the starts left from which the objective only falls all the way to it."""
         left = np.flatnonzero(numbers < 0)
         if len(left):
-            numbers[left[only_falls(self._landscape, starts[left], end, _Extent.rise)]] = number
+            numbers[left[only_falls(self._landscape, starts[left], end, 1e-6)]] = number
 
     def explored(self) -> Explored:
         """Return the result."""
@@ -256,7 +247,8 @@ def local_minima(points: Vector, key: Vector) -> tuple[NDArray[np.intp], NDArray
     from scipy.spatial import KDTree  # slow to import
 
     n = points.shape[1]
-    count = min(_Extent.neighbours * n if n > 1 else 2, len(points) - 1)
+    # A local minimum of a sample is lower than so many neighbours.
+    count = min(4 * n if n > 1 else 2, len(points) - 1)
     _, around = KDTree(points).query(points, k=count + 1)
     around = np.hstack([np.arange(len(points))[:, None], around.reshape(len(points), -1)])
     ends = around[np.arange(len(points)), np.argmin(key[around], axis=1)]

@@ -16,22 +16,12 @@ from plough_opt.design.search.explore import Progress, explore, silent
 from plough_opt.design.search.landscape import FINER, SAME, SEED, Evaluations, Landscape, concatenated, even_points
 from plough_opt.design.search.polish import point_as_found
 
-
-class _LeastViolation:
-    """Bounds of the search for the least violation, and what of it counts."""
-
-    violated: Final = 1e-7  # A smaller violation, in units of the limit, is rounding.
-    holds: Final = 1e-6  # A limit with a smaller scaled multiplier does not hold the design back.
-    # IPOPT keeps a variable away from a bound by 1e-11 over its multiplier.
-    near_bound: Final = 1e-5
-    looks: Final = 16  # around the best ends; the last per mille may take many
-    most_feasible: Final = 8  # designs from which to descend to the best one
-    most_polished: Final = 3  # designs that go on to IPOPT
-    excess: Final = 1e-3  # fraction of the least violation by which theirs may exceed it
-    # Attempts to polish a design: the half width of the box it must stay in, and whether to use exact second
-    # derivatives.
-    attempts: Final = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
-    higher: Final = 1e-6  # The violation of a polished design may be larger by this fraction.
+# A smaller violation, in units of the limit, is rounding.
+_VIOLATED: Final = 1e-7
+# A limit with a smaller scaled multiplier does not hold the design back.
+_HOLDS: Final = 1e-6
+# Designs from which to descend to the best one.
+_MOST_FEASIBLE: Final = 8
 
 
 def feasible_designs(
@@ -58,14 +48,16 @@ def feasible_designs(
     """
     limit, every = limit or TimeLimit("near"), range(len(start))
     effort = effort_of("auto", len(start), landscape.program.population.runs, landscape.vectorised)
-    effort = replace(effort, looks=_LeastViolation.looks)
-    first = known.distinct(SAME, _LeastViolation.most_feasible).points
+    # The last per mille of a violation may take many looks.
+    effort = replace(effort, looks=16)
+    first = known.distinct(SAME, _MOST_FEASIBLE).points
     bare = landscape.without_objective()
     ends = explore(bare, start, every, effort, seed=seed, known=first, progress=progress, limit=limit).ends
     if np.any(ends.feasible):
-        return landscape(ends.select(ends.feasible).distinct(SAME, _LeastViolation.most_feasible).points, finer=FINER)
-    least = ends.violation <= (1.0 + _LeastViolation.excess) * ends.violation[0]
-    ends = ends.select(least if landscape.vectorised else slice(None)).distinct(SAME, _LeastViolation.most_polished)
+        return landscape(ends.select(ends.feasible).distinct(SAME, _MOST_FEASIBLE).points, finer=FINER)
+    # Those that are as good but for the accuracy of descents go on to IPOPT.
+    least = ends.violation <= (1.0 + 1e-3) * ends.violation[0]
+    ends = ends.select(least if landscape.vectorised else slice(None)).distinct(SAME, 3)
     program = landscape.program.with_steps(landscape.p, starts=list(ends.points))
     points: list[tuple[Point, Vector]] = []
     for y, violation in zip(ends.points, ends.violation, strict=True):
@@ -74,7 +66,7 @@ def feasible_designs(
         points.append(_polished(landscape, program, y, violation, limit))
     solved = [own for own in points if own[0].solved] or points
     best, short = min(solved, key=lambda own: own[0].f)
-    if best.f >= _LeastViolation.violated:
+    if best.f >= _VIOLATED:
         raise _infeasible(program, best, short, landscape.designs_tried)
     return landscape(best.y[None], finer=FINER)
 
@@ -126,9 +118,11 @@ def _polished(
     p = landscape.p
     if not landscape.vectorised:
         return program.solve_relaxed(y, p)
-    for box, exact in _LeastViolation.attempts:
+    # The half width of the box that a design must stay in, and whether to use exact second derivatives.
+    for box, exact in ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True)):
         point, short = program.solve_relaxed(y, p, box=box, exact=exact)
-        if point.solved and point.f <= (1.0 + _LeastViolation.higher) * violation + _LeastViolation.violated:
+        # The violation of a polished design may be larger by this fraction.
+        if point.solved and point.f <= (1.0 + 1e-6) * violation + _VIOLATED:
             return point, short
         if limit.passed("further attempts to meet the requirements"):
             break
@@ -149,7 +143,7 @@ def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequ
         InfeasibleDesign: no feasible design was found.
     """
     loose, short = program.solve_relaxed(start, p, fixed=fixed)
-    if loose.f >= _LeastViolation.violated:
+    if loose.f >= _VIOLATED:
         raise _infeasible(program, loose, short)
     if len(fixed) < len(start):
         point = program.solve(loose.y, p, SolveOptions(near=len(fixed) > 0), fixed=fixed)
@@ -180,19 +174,20 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
     conflicts = {
         r.name: float(s * scale)
         for r, s, scale in zip(declared.requirements, short, program.scales, strict=True)
-        if s > _LeastViolation.violated
+        if s > _VIOLATED
     }
     multipliers = np.zeros(len(declared.requirements))
     np.maximum.at(multipliers, program.owner, np.abs(point.lam_g))
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
         for r, largest in zip(declared.requirements, multipliers, strict=True)
-        if largest > _LeastViolation.holds and r.name not in conflicts
+        if largest > _HOLDS and r.name not in conflicts
     ]
     for variable, y, multiplier in zip(declared.variables, point.y, point.lam_y, strict=True):
         # A box around the point may have held it instead.
-        at_bound = min(y, 1.0 - y) < _LeastViolation.near_bound
-        if abs(multiplier) > _LeastViolation.holds and at_bound:
+        # IPOPT keeps a variable away from a bound by 1e-11 over its multiplier.
+        at_bound = min(y, 1.0 - y) < 1e-5
+        if abs(multiplier) > _HOLDS and at_bound:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)

@@ -17,12 +17,9 @@ AS_FOUND = "taken as found"
 """Status of a design that IPOPT did not confirm as an optimum."""
 
 
-class _Polished:
-    """How far a polished design may lie from its start, and how far above it."""
-
-    same_basin: Final = 0.05  # An optimum this close to a start, as a fraction of the range, belongs to its basin.
-    same_ripple: Final = 0.005
-    higher: Final = 1e-8  # fraction of the objective, or of its scale if that is larger: IPOPT's tolerance
+# An optimum this close to a start, as a fraction of the range, belongs to its basin.
+_SAME_BASIN: Final = 0.05
+_SAME_RIPPLE: Final = 0.005
 
 
 # IPOPT stops with these near an optimum if the objective is rough, as on a needle.
@@ -35,7 +32,7 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
     Once the time is over, a start that meets the requirements is not tried again.
     """
     accepted, as_found = acceptance(program, p, start), point_as_found(program, p, start)
-    for box, exact in ((1.0, False), (_Polished.same_basin, True), (_Polished.same_ripple, True)):
+    for box, exact in ((1.0, False), (_SAME_BASIN, True), (_SAME_RIPPLE, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if point.status in _STALLED and point_as_found(program, p, point.y).solved:
             point = _stalled(program, p, point)
@@ -55,7 +52,7 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
 def solved_again(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum solved again after its program was rebuilt with other steps; the same basin, updated digits."""
     accepted = acceptance(program, p, point.y)
-    for box, exact in ((_Polished.same_basin, False), (_Polished.same_ripple, False), (_Polished.same_ripple, True)):
+    for box, exact in ((_SAME_BASIN, False), (_SAME_RIPPLE, False), (_SAME_RIPPLE, True)):
         again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if accepted(again):
             return again
@@ -93,7 +90,8 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
 def acceptance(program: Program, p: Vector, start: Vector) -> Callable[[Point], bool]:
     """Return the function that tells whether a point is solved and counts as no worse than its start."""
     f, g = _values(program, p, start)
-    highest = f + _Polished.higher * max(abs(f), 1.0)
+    # IPOPT's tolerance, of the objective or of its scale if that is larger.
+    highest = f + 1e-8 * max(abs(f), 1.0)
 
     @cache
     def highest_of_all() -> float:

@@ -26,7 +26,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plot", type=Path, metavar="FOLDER", help="where to draw the picture")
     chosen = parser.parse_args()
-    print(*tables(), *sentences.sentences(), *sentences.experiment(), sep="\n\n")
+    further = [markdown(table()) for table in (*findings.FURTHER, lambda: compare.filled("to_obtain"))]
+    print(*tables(), *further, *sentences.sentences(), *sentences.experiment(), sep="\n\n")
     if chosen.plot:
         findings.plot(chosen.plot)
 

@@ -393,4 +393,6 @@ def plot(folder: Path) -> None:
     figure.savefig(folder / "validation_particles.png", dpi=100)
 
 
-TABLES = (reference_table, ratio_table, face_table, zone_table, size_table, index_table, mount_table)
+# On the page, and printed only.
+TABLES = (reference_table, zone_table, mount_table)
+FURTHER = (ratio_table, face_table, size_table, index_table)

@@ -206,7 +206,7 @@ def levels() -> list[str]:
         f"2 % at {only[8.0, 0.38, 2]} and {only[10.0, 0.38, 2]} base radii",
         f"that radius is {zones[15.0, 0.38, 10]} times the base radius, {zones[15.0, 0.5, 10]} in the widest box",
         f"of both span {ends.min():.1f} to {ends.max():.1f}, so",
-        *(f'value = "{end:.1f} * (1 - 0.794)**0.5 * loosened_radius"' for end in (ends.min(), ends.max())),
+        *(f"{end:.1f} (1 − b1)^½ = {end * (1 - 0.794) ** 0.5:.1f}" for end in (ends.min(), ends.max())),
         f"over all ratios it is {100 * findings.pooled_error():.1f} %",
         f"porosity, {mean('porosity'):.3f}. b1 from {b1[0]:.3f} to {b1[1]:.3f}",
         f"named soils have {min(named):.3f} to {max(named):.3f}",

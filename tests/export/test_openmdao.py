@@ -1,4 +1,4 @@
-"""OpenMDAO as the client: partials and bounds; docs/howto/openmdao.md runs its driver, with units."""
+"""OpenMDAO as the client: partials and bounds; docs/howto/exports.md runs its driver, with units."""
 
 import subprocess
 import sys

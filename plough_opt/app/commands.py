@@ -208,7 +208,7 @@ def _cached(file: str) -> Path:
 
 def sweep(options: argparse.Namespace) -> None:
     """Simulate or optimise a file at every point of a grid or a sample; resume an interrupted sweep."""
-    from plough_opt.problem_file.sweep import ProblemSweep  # the engine of sweeps is slow to import
+    from plough_opt.problem_file.sweep import plan_of  # the engine of sweeps is slow to import
 
     if options.workers is not None and options.workers < 1:
         raise InputError(f"--workers {options.workers}: a sweep needs at least one")
@@ -219,18 +219,19 @@ def sweep(options: argparse.Namespace) -> None:
     over = _over(options)
     problem = read(options)
     what: What = "optimise" if options.optimise else "simulate"
-    plan = ProblemSweep.of(problem, over, what, options.method, options.samples, options.seed)
+    plan = plan_of(problem, over, what, options.method, options.samples, options.seed)
     notes = list(plan.notes)
     if options.samples is not None and options.samples & (options.samples - 1):
         notes.append(f"{options.samples} samples are not a power of two: a Sobol sample is balanced at 64, 128, ...")
     for note in notes:
         LOG.info("note: %s", note)
-    rest = {"samples": options.samples, "seed": options.seed, "progress": not quiet(), "file": options.csv}
+    file = options.csv
     if options.csv is None or not options.csv.lower().endswith(".csv"):  # so that the same command goes on
         digest = hashlib.sha256(plan.question.encode(errors="surrogatepass")).hexdigest()[:8]
-        rest["file"] = f"{Path(options.file).stem}-{digest}.sweep.csv"
+        file = f"{Path(options.file).stem}-{digest}.sweep.csv"
     with _executor(options.scheduler) as (executor, workers):
-        swept = plan.run(executor=executor, workers=workers or options.workers, **rest)
+        hands = workers or options.workers
+        swept = plan.run(file=file, executor=executor, workers=hands, progress=not quiet())
     give(options, swept.page(), swept.to_json, swept.plot, swept.to_dataframe, swept.to_csv)
     if swept.failed == len(swept):
         raise NotConverged("every point failed; the reasons are in the table", "failed")

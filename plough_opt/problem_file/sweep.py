@@ -6,6 +6,7 @@ import dataclasses
 import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any, Final, Literal, get_args
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_kind, check_named
+from plough_opt.core.checks import check_kind, check_named, mapping_of, shown
 from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import stacked
 from plough_opt.core.quantities import quantities
@@ -29,8 +30,7 @@ from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.reading import check_changed
-from plough_opt.studies.sweep import engine
-from plough_opt.studies.sweep.engine import Answer, Progress
+from plough_opt.studies.sweep.engine import Answer, Plan, Progress
 from plough_opt.studies.sweep.points import Axis, axis_of, points_of
 from plough_opt.studies.sweep.result import Sweep
 
@@ -100,94 +100,68 @@ def sweep(
         >>> problem = po.read_problem("problems/cotton_subsoiler.toml")
         >>> swept = po.sweep(problem, {"soil.cohesion": "5..45 kPa:9"}, file="out/sweep.csv")  # doctest: +SKIP
     """
-    rest: dict[str, Any] = {"samples": samples, "seed": seed, "file": file}
-    rest |= {"executor": executor, "workers": workers, "progress": progress}
     if isinstance(what_to_sweep, Problem):
         if units is not None:
             raise InputError("units are for functions: a problem file has its own, so remove them")
-        return ProblemSweep.of(what_to_sweep, over, what, method, samples, seed).run(**rest)
-    if not (isinstance(what, str) and isinstance(method, str) and (what, method) == ("simulate", "auto")):
-        raise InputError("what and method are for problem files: remove them to sweep a function")
-    return engine.sweep(what_to_sweep, over, units=units, **rest)
+        plan = plan_of(what_to_sweep, over, what, method, samples, seed)
+    else:
+        if not callable(what_to_sweep):
+            raise InputError(f"{shown(what_to_sweep)} cannot be swept: use a problem, or a function of named numbers")
+        if not (isinstance(what, str) and isinstance(method, str) and (what, method) == ("simulate", "auto")):
+            raise InputError("what and method are for problem files: remove them to sweep a function")
+        check_kind("over", over, Mapping, "a dictionary with names as keys")
+        units = mapping_of("units", units, "a name -> its unit")
+        points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
+        name = getattr(what_to_sweep, "__qualname__", type(what_to_sweep).__qualname__)
+        plan = Plan(what_to_sweep, tuple(over), points, f"{what_to_sweep.__module__}.{name}", units)
+    return plan.run(file=file, executor=executor, workers=workers, progress=progress)
 
 
-@dataclass(frozen=True)
-class ProblemSweep:
-    """Plan of a sweep of a problem file.
-
-    Attributes:
-        evaluation: the computation at each point.
-        axes: quantity -> its values or range, in SI.
-        origin: title of the file, and the units in which file and ranges are written.
-        units: name -> SI unit of quantities and results.
-        question: everything that the results depend on, as text.
-        how: sentence that says how the points are computed.
-        notes: what the sweep changes in the file, and warnings about the scenes at the ends of all ranges.
-    """
-
-    evaluation: Any
-    axes: Mapping[str, Axis]
-    origin: Origin
-    units: Mapping[str, str]
-    question: str
-    how: str
-    notes: tuple[str, ...]
-
-    @classmethod
-    def of(
-        cls,
-        problem: Problem,
-        over: Mapping[str, object],
-        what: What = "simulate",
-        method: Method = "auto",
-        samples: int | None = None,
-        seed: int = 0,
-    ) -> ProblemSweep:
-        """Return the plan of a sweep after all checks that need no results; arguments as in `sweep`."""
-        check_named("what = {} is unknown", what, get_args(What))
-        check_named("method = {} is unknown", method, get_args(Method))
-        if what == "optimise" and method == "batch":
-            raise InputError("a batch cannot optimise, only simulate: remove one of the two options")
-        axes, displays = _axes(over, samples is not None)
-        points, notes = points_of(axes, samples, seed), list[str]()
-        low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-        ends = [fixed_at(problem, dict(zip(axes, end, strict=True))) for end in (low, high)]
-        for end in ends:
-            with about("in the sweep:"):
-                check_changed(end)
-        table = problem.table.model_dump(exclude={"title"})
-        question = repr([what, table, problem.values(), problem.course, problem.data])
-        evaluation: Any = partial(_simulated, problem)
-        how = "Each point is simulated by po.simulate"
-        if what == "optimise":
-            ends[0].design()
-            evaluation, how = partial(_optimised, problem), "Each point is a whole optimisation, from the file's guess"
-            fixed = [name for name in axes if name in problem.variables]
-            notes += [f"'{name}' is a variable of the file: every point fixes it" for name in fixed]
-        elif method == "batch" or (method == "auto" and len(points) >= MANY):
-            many = SimulationOfMany(problem, tuple(axes), question)
-            try:
-                batch, _, _ = many.built()
-            except InputError:
-                if method == "batch":
-                    raise
-            else:
-                evaluation, how = many, f"Simulated by po.Batch, to a relative error of {many.error:.0e}"
-                notes += [*batch.warnings, *(f"at an end: {text}" for end in ends for text in end.scene().warnings())]
-        for name, least, most in zip(axes, low, high, strict=True):
-            variable = problem.variables.get(name)
-            if variable is not None and (least < variable.lower or most > variable.upper):
-                notes.append(f"'{name}' is swept outside its bounds in the file, {variable.words}")
-        symbols = {name: quantities()[name].symbol for name in axes}
-        shown = {name: displays.get(name, Display(unit, 1.0)) for name, unit in symbols.items()}
-        origin, units = Origin(problem.title, {**problem.displays, **shown}), {**_units(problem), **symbols}
-        question = f"{question} {axes} {samples} {seed} {how}"
-        return cls(evaluation, axes, origin, units, question, how, tuple(dict.fromkeys(notes)))
-
-    def run(self, **rest: Any) -> Sweep:
-        """Return the results at every point; arguments as in `sweep`."""
-        swept = engine.sweep(self.evaluation, self.axes, question=self.question, units=self.units, **rest)
-        return dataclasses.replace(swept, origin=self.origin, how=self.how)
+def plan_of(
+    problem: Problem,
+    over: Mapping[str, object],
+    what: What = "simulate",
+    method: Method = "auto",
+    samples: int | None = None,
+    seed: int = 0,
+) -> Plan:
+    """Return the plan of a problem's sweep after all checks that need no results; arguments as in `sweep`."""
+    check_named("what = {} is unknown", what, get_args(What))
+    check_named("method = {} is unknown", method, get_args(Method))
+    if what == "optimise" and method == "batch":
+        raise InputError("a batch cannot optimise, only simulate: remove one of the two options")
+    axes, displays = _axes(over, samples is not None)
+    points, notes = points_of(axes, samples, seed), list[str]()
+    low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    ends = [fixed_at(problem, dict(zip(axes, end, strict=True))) for end in (low, high)]
+    for end in ends:
+        with about("in the sweep:"):
+            check_changed(end)
+    table = problem.table.model_dump(exclude={"title"})
+    question = repr([what, table, problem.values(), problem.course, problem.data])
+    function: Any = partial(_simulated, problem)
+    how = "Each point is simulated by po.simulate"
+    if what == "optimise":
+        ends[0].design()
+        function, how = partial(_optimised, problem), "Each point is a whole optimisation, from the file's guess"
+        notes += [
+            f"'{key}' is a variable of the file: every point fixes it" for key in axes if key in problem.variables
+        ]
+    elif method == "batch" or (method == "auto" and len(points) >= MANY):
+        many = SimulationOfMany(problem, tuple(axes), question)
+        with suppress(*([InputError] if method == "auto" else [])):
+            notes += many.built()[0].warnings
+            function, how = many, f"Simulated by po.Batch, to a relative error of {many.error:.0e}"
+            notes += [f"at an end: {text}" for end in ends for text in end.scene().warnings()]
+    for key, least, most in zip(axes, low, high, strict=True):
+        variable = problem.variables.get(key)
+        if variable is not None and (least < variable.lower or most > variable.upper):
+            notes.append(f"'{key}' is swept outside its bounds in the file, {variable.words}")
+    units = {key: quantities()[key].symbol for key in axes}
+    displays = {**problem.displays, **{key: Display(unit, 1.0) for key, unit in units.items()}, **displays}
+    question, origin = f"{question} {axes} {samples} {seed} {how}", Origin(problem.title, displays)
+    units = {**_units(problem), **units}
+    return Plan(function, tuple(axes), points, question, units, origin, how, tuple(dict.fromkeys(notes)))
 
 
 def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], dict[str, Display]]:

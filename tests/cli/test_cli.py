@@ -30,7 +30,7 @@ from plough_opt.app.main import main
 from plough_opt.core import process
 from plough_opt.core.screen import Screen, progress_on
 from plough_opt.problem_file import template
-from plough_opt.studies.sweep import engine
+from plough_opt.studies.sweep.engine import Plan
 
 # --- the command `plough-opt`: what it prints and writes, its exit status, and never a traceback ---
 
@@ -355,7 +355,7 @@ def test_bad_input_is_refused_in_a_sentence_before_anything_is_computed(tmp_path
     (tmp_path / "link.csv").symlink_to("draft_against_loosening.toml")
     (tmp_path / "round.csv").symlink_to("round.csv")
     before = {path: path.read_bytes() for path in tmp_path.glob("*.*") if path.is_file()}
-    for owner, name in ((po.Problem, "simulate"), (po.Design, "solve"), (engine, "_answers")):
+    for owner, name in ((po.Problem, "simulate"), (po.Design, "solve"), (Plan, "_answers")):
         monkeypatch.setattr(owner, name, None)
     for short, long in SHORT.items():
         line = line.replace(short, long)

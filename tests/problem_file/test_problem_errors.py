@@ -7,7 +7,7 @@ from helpers.commands import call
 from helpers.problem_files import COTTON, SUBSOILER, changed, refused_files
 
 import plough_opt as po
-from plough_opt.problem_file.sweep import ProblemSweep
+from plough_opt.problem_file.sweep import plan_of
 
 WRONG = refused_files()
 # Besides what is in refused.toml: long or deep, and with characters that cannot be printed.
@@ -161,6 +161,6 @@ def test_a_value_outside_its_own_bounds_is_noted():
 
 def test_a_sweep_outside_the_bounds_of_a_variable_is_noted():
     problem = po.read_problem(SUBSOILER)
-    outside = ProblemSweep.of(problem, {"scene.stiffness": "5..50 kN/m:2"}).notes
+    outside = plan_of(problem, {"scene.stiffness": "5..50 kN/m:2"}).notes
     assert [note for note in outside if "outside" in note and "10 kN/m" in note]
-    assert ProblemSweep.of(problem, {"scene.stiffness": "15..50 kN/m:2"}).notes == ()
+    assert plan_of(problem, {"scene.stiffness": "15..50 kN/m:2"}).notes == ()

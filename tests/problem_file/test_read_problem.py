@@ -15,7 +15,7 @@ import plough_opt as po
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file import template
 from plough_opt.problem_file.schema import file_schema
-from plough_opt.problem_file.sweep import ProblemSweep
+from plough_opt.problem_file.sweep import plan_of
 
 # --- a right problem file becomes: a scene, its variables, and the same results as Python by hand ---
 
@@ -116,8 +116,7 @@ def test_a_tow_speed_over_time_is_that_of_simulate(read):
     assert found.scene.effects.tow_profile == problem.course
     assert "scene.duration" not in [one.name for one in best.every_sensitivity()]
     questions = [
-        ProblemSweep.of(one, {"soil.cohesion": [1e4, 2e4]}).question
-        for one in (problem, read(text, "scene.tow_speed=9 km/h"))
+        plan_of(one, {"soil.cohesion": [1e4, 2e4]}).question for one in (problem, read(text, "scene.tow_speed=9 km/h"))
     ]
     assert questions[0] != questions[1]  # of the same largest speed
     jsonschema.validate(tomllib.loads(text), file_schema())

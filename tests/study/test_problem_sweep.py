@@ -12,7 +12,7 @@ import plough_opt as po
 from plough_opt.core.units import Unit
 from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.ranges import read_axis
-from plough_opt.problem_file.sweep import ProblemSweep
+from plough_opt.problem_file.sweep import plan_of
 from plough_opt.studies.sweep import engine
 
 # A design of the wedge angle and the height, without motion: quick to solve.
@@ -47,7 +47,7 @@ def test_each_warning_is_kept_once_with_the_number_of_its_points_and_the_range_o
     assert f"ambient pressure (101.3 kPa) carries {least:.0f} to {most:.0f} %" in swept.notes[0]
     assert "above 20 deg the hypothesis of plane sections does not hold" in swept.notes[1]
     # A batch is told of the ends of all ranges before it begins.
-    batch = ProblemSweep.of(problem, {"soil.cohesion": "3, 40 kPa"}, method="batch").notes
+    batch = plan_of(problem, {"soil.cohesion": "3, 40 kPa"}, method="batch").notes
     assert [note for note in batch if f"at an end: ambient pressure (101.3 kPa) carries {most:.0f} %" in note]
 
 
@@ -74,9 +74,9 @@ class TestMany:
             monkeypatch.setattr(engine, "_MOST", size)
             tables.append(po.sweep(problem, BOX, samples=32, method="batch", executor=inline).table.tolist())
         assert tables[1:] == tables[:1] * 3
-        plan = ProblemSweep.of(problem, BOX, samples=2, method="batch")
+        plan = plan_of(problem, BOX, samples=2, method="batch")
         places = [dict(zip(BOX, values, strict=True)) for values in ([0.5, 0.2, 1e5], [-0.5, 0.2, 1e5])]
-        answers = pickle.loads(pickle.dumps(plan.evaluation)).many(places)
+        answers = pickle.loads(pickle.dumps(plan.function)).many(places)
         assert [bool(answer.reason) for answer in answers] == [False, True]  # outside the domain
 
     def test_results_are_those_of_single_simulations_to_the_wanted_error(self, problem, inline):
@@ -93,9 +93,9 @@ class TestMany:
     def test_a_result_over_time_keeps_a_batch_away(self, monkeypatch):
         monkeypatch.setitem(MEASURES, "last", Measure(Unit("N"), lambda run: run.mount_force[-1]))
         problem, axes = po.read_problem(SUBSOILER), {"scene.tow_speed": "1..3 m/s:10000"}
-        assert "po.simulate" in ProblemSweep.of(problem, axes).how
+        assert "po.simulate" in plan_of(problem, axes).how
         with pytest.raises(po.InputError, match="'last' needs the motion over time"):
-            ProblemSweep.of(problem, axes, method="batch")
+            plan_of(problem, axes, method="batch")
 
     def test_a_chaotic_motion_that_misses_the_wanted_error_is_noted(self, inline):
         share = ("share.wedge_angle=0.639427778 rad", "share.height=0.482322562 m")
@@ -106,13 +106,13 @@ class TestMany:
 
     def test_a_batch_is_used_for_many_points_of_a_scene_that_it_supports(self, problem):
         axes = {"soil.cohesion": po.Range(1e4, 2e4, 100), "scene.tow_speed": po.Range(1.0, 2.0, 100)}
-        assert "po.Batch" in ProblemSweep.of(problem, axes).how
-        assert "po.simulate" in ProblemSweep.of(problem, {**axes, "scene.tow_speed": po.Range(1.0, 2.0, 99)}).how
-        assert "po.simulate" in ProblemSweep.of(problem, axes, method="each").how
+        assert "po.Batch" in plan_of(problem, axes).how
+        assert "po.simulate" in plan_of(problem, {**axes, "scene.tow_speed": po.Range(1.0, 2.0, 99)}).how
+        assert "po.simulate" in plan_of(problem, axes, method="each").how
         sticky = po.read_problem(PROBLEMS / "stick_slip.toml")
-        assert "po.simulate" in ProblemSweep.of(sticky, axes).how
+        assert "po.simulate" in plan_of(sticky, axes).how
         with pytest.raises(po.InputError, match="events"):
-            ProblemSweep.of(sticky, axes, method="batch")
+            plan_of(sticky, axes, method="batch")
 
     def test_a_batch_of_periodic_orbits(self, inline):
         changed = ("effects.damping=10 N*s/m", "effects.strength_wave.amplitude=1.0", "share.height=45 cm")

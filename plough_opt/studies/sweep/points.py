@@ -99,9 +99,7 @@ def axis_of(name: str, given: object) -> Axis:
         raise InputError(f"'{name}' runs over {shown(given)}: give a po.Range or a list of numbers")
     values = tuple(plain_number(f"a value of '{name}'", x) for x in given)
     if len(values) < 2:
-        raise InputError(
-            f"'{name}' runs over {shown(values)}: a sweep needs two values or more; set a single one instead"
-        )
+        raise InputError(f"'{name}' runs over {shown(values)}: a sweep needs two values or more; or set this one")
     if len(set(values)) < len(values):
         raise InputError(f"'{name}' runs over the same value twice")
     return values
@@ -121,28 +119,23 @@ def points_of(axes: Mapping[str, Axis], samples: int | None, seed: int) -> Array
     """
     if not axes:
         raise InputError("over is empty: a sweep needs at least one quantity")
-    if samples is not None:
-        return _sample(axes, whole_number("the number of samples", samples, 2, MOST_POINTS), seed)
-    values = []
-    for name, axis in axes.items():
-        with about(f"'{name}':"):
-            values.append(axis.values() if isinstance(axis, Range) else axis)
-    if (count := math.prod(map(len, values))) > MOST_POINTS:
-        raise InputError(f"the grid has {count:.3g} points, more than {MOST_POINTS}: use fewer values, or a sample")
-    return np.array([*itertools.product(*values)])
-
-
-def _sample(axes: Mapping[str, Axis], count: int, seed: int) -> Array:
+    if samples is None:
+        values = []
+        for name, axis in axes.items():
+            with about(f"'{name}':"):
+                values.append(axis.values() if isinstance(axis, Range) else axis)
+        if (count := math.prod(map(len, values))) > MOST_POINTS:
+            raise InputError(f"the grid has {count:.3g} points, more than {MOST_POINTS}: use fewer values, or a sample")
+        return np.array([*itertools.product(*values)])
     from scipy.stats import qmc  # imported only for samples, because that is slow
 
-    for name, axis in axes.items():
-        if not isinstance(axis, Range):
-            raise InputError(f"'{name}' runs over single values: a sample needs a range with two ends")
-        if axis.count is not None:
-            raise InputError(
-                f"'{name}' has a number of values, {axis.count}: leave it out, because a sample fills the range"
-            )
-    engine = qmc.Sobol(len(axes), scramble=True, seed=whole_number("the seed", seed))
+    whole_number("the number of samples", samples, 2, MOST_POINTS)
+    ranges = [axis for axis in axes.values() if isinstance(axis, Range) and axis.count is None]
+    if len(ranges) < len(axes):
+        raise InputError(
+            "a sample fills the range of each quantity: give a range with two ends, and no number of values"
+        )
+    sobol = qmc.Sobol(len(axes), scramble=True, seed=whole_number("the seed", seed))
     # SciPy warns unless the size of the first draw is a power of two.
-    unit = np.concatenate([engine.random(1), engine.random(count - 1)])
-    return np.array([[r.at(u) for r, u in zip(axes.values(), row, strict=True)] for row in unit.tolist()])  # type: ignore[union-attr]
+    unit = np.concatenate([sobol.random(1), sobol.random(samples - 1)]).tolist()
+    return np.array([[own.at(u) for own, u in zip(ranges, row, strict=True)] for row in unit])

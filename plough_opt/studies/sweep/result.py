@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,10 +15,10 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import Counted, InputError, count, counted, short
-from plough_opt.core.files import COLOURS, CONSTANT, figure_with_panels, scale_of, write_file, written
+from plough_opt.core.files import COLOURS, CONSTANT, figure_with_panels, scale_of, written
 from plough_opt.core.plain_data import Array, json_text
 from plough_opt.core.saving import Origin
-from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
+from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame, write_table
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
 
@@ -94,30 +92,27 @@ class Sweep(Readable):
         Raises:
             InputError: it is not a sweep.
         """
-        first = stream.readline()
+        first, *lines = [*stream] or [""]
         heads = first.rstrip("\n").split(",")
         if first.startswith("SQLite format 3"):
             raise InputError(f"'{path}' is a store of version 0.2, which this version cannot read: name a new CSV file")
         if heads[0] != "point" or heads[-2:] != ["warnings", "reason"] or "question" not in heads[2:]:
             raise InputError(f"'{path}' is not the file of a sweep: name another file")
-        pairs = [head.rstrip("]").partition(" [") for head in heads]
-        names = [name for name, _, _ in pairs]
-        middle = names.index("question")
-        check_columns([*names[1:middle], *names[middle + 1 : -2]])
-        kind, lines = [(name, _FIXED.get(name, "f8")) for name in names], [*stream]
+        names, _, symbols = zip(*(head.rstrip("]").partition(" [") for head in heads), strict=True)
+        middle, kind = names.index("question"), [(name, _FIXED.get(name, "f8")) for name in names]
+        swept, results = names[1:middle], names[middle + 1 : -2]
+        headings(swept, results, {})
         if lines and not lines[-1].endswith("\n"):
             lines.pop()
         try:
             table = np.loadtxt(lines, kind, None, ",", quotechar='"', ndmin=1) if lines else np.zeros(0, kind)
-            if any(np.isinf(table[name]).any() for name, one in kind if one == "f8"):
+            if any(np.isinf(table[name]).any() for name in (*swept, *results)):
                 raise ValueError("a number is infinite")
         except ValueError as error:
-            raise InputError(
-                f"'{path}' holds what no sweep writes ({short(str(error), 120)}): name another file"
-            ) from None
+            why = f"holds what no sweep writes ({short(str(error), 120)})"
+            raise InputError(f"'{path}' {why}: name another file") from None
         table = table[np.unique(table["point"], return_index=True)[1]]
-        units = {name: unit for name, _, unit in pairs if unit}
-        return cls(tuple(names[1:middle]), tuple(names[middle + 1 : -2]), table, units, path)
+        return cls(swept, results, table, {n: unit for n, unit in zip(names, symbols, strict=True) if unit}, path)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -291,29 +286,20 @@ class Sweep(Readable):
             >>> lines[0]
             'point,x,question,y,warnings,reason'
         """
-        return write_file(path, "table", lines([headings(self.names, self.results, self.units), *self.table.tolist()]))
-
-
-def lines(rows: Iterable[Sequence[object]]) -> str:
-    """Return rows as lines of a CSV file; numbers have all their digits."""
-    text = io.StringIO(newline="")
-    signs = ("=", "+", "-", "@")  # with which a text would be a formula of a spreadsheet
-    texts = ([f"'{cell}" if isinstance(cell, str) and cell.startswith(signs) else cell for cell in row] for row in rows)
-    csv.writer(text, lineterminator="\n").writerows(texts)
-    return text.getvalue()
+        return write_table(path, [headings(self.names, self.results, self.units), *self.table.tolist()])
 
 
 def headings(names: Sequence[str], results: Sequence[str], units: Mapping[str, str]) -> list[str]:
-    """Return the headings of a file's columns."""
-    before, after = ([Display(units.get(name, ""), 1.0).heading(name) for name in part] for part in (names, results))
-    return ["point", *before, "question", *after, "warnings", "reason"]
+    """Return the headings of a file's columns.
 
-
-def check_columns(names: Sequence[str]) -> None:
-    """Raise InputError if a name cannot be that of a column, or is given twice or reserved; case is ignored."""
-    folded = [str(name).casefold() for name in (*_FIXED, *names)]
-    for name in names:
+    Raises:
+        InputError: a name cannot be that of a column, is used twice, or is reserved; case is ignored.
+    """
+    folded = [str(name).casefold() for name in (*_FIXED, *names, *results)]
+    for name in (*names, *results):
         if not isinstance(name, str) or not re.fullmatch(r'\w[^][,;"]*', name) or not name.isprintable():
             raise InputError(f"{shown(name)} cannot name a column: begin with a letter, and use no brackets and commas")
         if folded.count(name.casefold()) > 1:
             raise InputError(f"'{name}' cannot name a column: it is used twice, or reserved ({', '.join(_FIXED)})")
+    before, after = ([Display(units.get(name, ""), 1.0).heading(name) for name in part] for part in (names, results))
+    return ["point", *before, "question", *after, "warnings", "reason"]

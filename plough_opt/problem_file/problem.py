@@ -225,7 +225,7 @@ class Problem:
         BESIDE["scene.frame_mass"].check(values["scene.frame_mass"])
         steel = share.equivalent_cone().solid_mass(values["scene.steel_density"])
         return Scene(
-            soil=self._soil(values),
+            soil=self.soil(values),
             share=share,
             stiffness=values["scene.stiffness"],
             mass=values["scene.frame_mass"] + steel,
@@ -234,7 +234,8 @@ class Problem:
             medium=medium_of(self.table.scene.medium),
         )
 
-    def _soil(self, values: Mapping[str, Expression]) -> Soil:
+    def soil(self, values: Mapping[str, Expression]) -> Soil:
+        """Return the soil for the values of all quantities."""
         own = {key.removeprefix("soil."): value for key, value in values.items() if key.startswith("soil.")}
         table, reading = self.table.soil, values.get(_READING)
         if reading is None:

@@ -1,9 +1,10 @@
 """Schema of a problem file: its tables in SI units; as a JSON schema for editors too."""
 
 import dataclasses
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
-from typing import Annotated, Any, Final, Literal, TypeVar, get_args
+from typing import Annotated, Any, Final, Literal, TypeVar, cast, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model
 from pydantic.json_schema import GenerateJsonSchema
@@ -15,16 +16,9 @@ from plough_opt.core.quantities import EVERY, IN_FILES, MOST_WAVES, wave_table
 from plough_opt.core.units import Unit
 from plough_opt.laws import LAWS, law_of
 from plough_opt.laws.law import ResistanceLaw
-from plough_opt.motion.effects import (
-    OWN_EFFECTS,
-    Effects,
-    OwnResistance,
-    Smooth,
-    SpeedProfile,
-    StickSlip,
-)
-from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.soil.soil import Adjust
+from plough_opt.motion.effects import OWN_EFFECTS, Effects, OwnResistance, Smooth, SpeedProfile, StickSlip
+from plough_opt.motion.vocabulary import MEASURES, called
+from plough_opt.soil.soil import Adjust, named_soil
 from plough_opt.soil.strength import RandomStrength, Spectrum, StrengthWave
 
 Written = str | float
@@ -33,7 +27,7 @@ RANDOM = "effects.random_strength"
 WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
 """Dotted names of the tables of strength waves, in order; all have the same keys."""
 
-CHOICES = ("motion", "inertial_drag", "added_mass", "ambient_pressure", "start", "entry", "formulation")
+CHOICES = ("motion", "inertial_drag", "added_mass", "ambient_pressure", "start", "entry", "formulation", "orbit")
 """Keys of [effects] with the values of the fields of `Effects` that have their names."""
 
 CONTACTS: Final = {"smooth": (Smooth, "effects.contact_width"), "stick_slip": (StickSlip, "effects.breakaway")}
@@ -41,8 +35,6 @@ CONTACTS: Final = {"smooth": (Smooth, "effects.contact_width"), "stick_slip": (S
 
 _T = TypeVar("_T", bound="Table")
 _Kind = TypeVar("_Kind")
-_LAW = '"plastic", or { law = "mckyes_ali", depth = "0.35 m" }'
-_EFFECTS = 'a list of tables with a name, such as [{ effect = "shank", static = "150 N" }]'
 
 
 def medium_of(written: object) -> str | ResistanceLaw:
@@ -51,13 +43,12 @@ def medium_of(written: object) -> str | ResistanceLaw:
     Raises:
         InputError: an unknown law or key, or a value that the law refuses; the message continues after the key's name.
     """
-    if isinstance(written, str):
-        law_of(written)
-        return written
-    if not isinstance(written, Mapping) or not isinstance(written.get("law"), str):
-        raise InputError(f"= {shown(written)} must be a resistance law, such as {_LAW}")
-    law_of(written["law"])
-    return _made(LAWS[written["law"]], "law", written)
+    name = written.get("law") if isinstance(written, Mapping) else written
+    if not isinstance(name, str):
+        wanted = 'a resistance law, such as "plastic", or { law = "mckyes_ali", depth = "0.35 m" }'
+        raise InputError(f"= {shown(written)} must be {wanted}")
+    law_of(name)
+    return _made(LAWS[name], "law", written) if isinstance(written, Mapping) else name
 
 
 def own_effects_of(written: Sequence[Mapping[str, Any]]) -> tuple[OwnResistance, ...]:
@@ -67,31 +58,27 @@ def own_effects_of(written: Sequence[Mapping[str, Any]]) -> tuple[OwnResistance,
         InputError: an unknown effect or key, or a value that the effect refuses; the message continues after the key's
             name.
     """
-    if not all("effect" in one for one in written):
-        raise InputError(f"= {shown(written)} must be {_EFFECTS}")
-    for one in written:
-        check_named("no effect is named {}", one["effect"], OWN_EFFECTS)
-    return tuple(_made(OWN_EFFECTS[one["effect"]], "effect", one) for one in written)
+    for table in written:
+        if "effect" not in table:
+            wanted = 'a list of tables with a name, such as [{ effect = "shank", static = "150 N" }]'
+            raise InputError(f"= {shown(written)} must be {wanted}")
+        check_named("no effect is named {}", table["effect"], OWN_EFFECTS)
+    return tuple(_made(OWN_EFFECTS[table["effect"]], "effect", table) for table in written)
 
 
 def _made(kind: type[_Kind], key: str, written: Mapping[str, Any]) -> _Kind:
     """Return an instance of a class with the quantities of a table; ``key`` is the entry that names the class."""
-    given = {name: _value(kind, name, value) for name, value in written.items() if name != key}
+    units: dict[str, Any] = {field.name: field.metadata.get("unit") for field in dataclasses.fields(cast(Any, kind))}
+    values = {name: value for name, value in written.items() if name != key}
+    for name, value in values.items():
+        check_named(f"{{}} is not a quantity of {kind.__name__}", name, units)
+        if units[name] is not None:
+            with about(f"'{name}'"):
+                values[name] = Unit(units[name]).parse(value)
     try:
-        return kind(**given)
+        return kind(**values)
     except TypeError as error:  # a field without a default is missing in the table
         raise InputError(f"= {shown(written)} is incomplete: {error}") from None
-
-
-def _value(kind: type, key: str, value: Any) -> Any:
-    """Return the value of one field, converted to SI if the field has a unit."""
-    known = {each.name: each for each in dataclasses.fields(kind)}
-    check_named(f"{{}} is not a quantity of {kind.__name__}", key, known)
-    unit = known[key].metadata.get("unit")
-    if unit is None:
-        return value
-    with about(f"'{key}'"):
-        return Unit(unit).parse(value)
 
 
 def _readable_by(read: Callable[[Any], object]) -> AfterValidator:
@@ -119,7 +106,7 @@ class Table(BaseModel):
 class CompactionTable(Table):
     """A compression test, from which the density ratio at the ambient pressure follows."""
 
-    pressure: list[Written]
+    pressure: list[Annotated[float, Unit("Pa")]]
     """pressures of the test"""
     volume_lost: list[float]
     """fraction of the volume that is lost at each of them"""
@@ -131,7 +118,7 @@ class SoilTable(Table):
     A cone index may decide one property, and a compression test the density ratio.
     """
 
-    name: str | None = None
+    name: Annotated[str, _readable_by(named_soil)] | None = None
     """a named soil; properties beside it replace its values"""
     adjust: Adjust = "strength factor"
     """the property that the cone index decides"""
@@ -202,25 +189,23 @@ class EffectsTable(Table):
             spectrum: spectrum of the strength record, if the file names one.
             course: tow speed over time relative to the largest one, if it varies.
         """
-        waves = [
-            StrengthWave(values[f"{name}.amplitude"], values[f"{name}.wavelength"], values.get(f"{name}.phase", 0.0))
-            for name in WAVES
-            if f"{name}.amplitude" in values
-        ]
-        random: list[Any] = [values.get(f"{RANDOM}.{key}") for key in ("rms", "correlation_length")]
+        tables: dict[str, dict[str, Any]] = defaultdict(dict)
+        for name, value in values.items():
+            table, _, key = name.rpartition(".")
+            tables[table][key] = value
+        waves = tuple(StrengthWave(**tables[name]) for name in WAVES if name in tables)
         contact: Any = self.contact
-        if self.contact in CONTACTS:
-            kind, key = CONTACTS[self.contact]
-            contact = kind(values[key]) if key in values else kind()
-        numbers = ("tow_ramp", "damping", "speed_term", "rate_term")
-        plain: dict[str, Any] = {name: getattr(self, name) for name in CHOICES}
+        for word, (kind, name) in CONTACTS.items():
+            number = tables["effects"].pop(name.removeprefix("effects."), None)
+            if self.contact == word:
+                contact = kind() if number is None else kind(number)
         return Effects(
-            **(plain | {name: values.get(f"effects.{name}") for name in numbers}),
+            **{name: getattr(self, name) for name in CHOICES},
+            **tables["effects"],
             contact=contact,
-            strength_wave=waves[0] if len(waves) == 1 else tuple(waves) or None,
-            random_strength=RandomStrength(*random) if None not in random else spectrum,
+            strength_wave=waves[0] if len(waves) == 1 else waves or None,
+            random_strength=RandomStrength(**tables[RANDOM]) if RANDOM in tables else spectrum,
             tow_profile=course,
-            orbit=self.orbit,
             own=own_effects_of(self.own),
         )
 
@@ -446,9 +431,6 @@ def at(table: Any, key: str) -> Any:
     return reduce(lambda inner, part: getattr(inner, part, None), key.split("."), table)
 
 
-_DIALECT = "https://json-schema.org/draft/2020-12/schema"
-
-
 def file_schema() -> dict[str, Any]:
     """Return the JSON schema of a problem file: its tables and keys, with their meanings and an example of each unit.
 
@@ -463,18 +445,27 @@ def file_schema() -> dict[str, Any]:
     schema = ProblemFile.model_json_schema(schema_generator=_WithoutNull)
     single = [name for name, measure in MEASURES.items() if not measure.everywhere]
     definitions, tables = schema["$defs"], schema["properties"]
-    tables["variables"] = _of(IN_FILES, "VariableTable", {name: EVERY[name].meaning for name in IN_FILES})
-    tables["minimise"] = _of(single, "TermTable")
-    tables["require"] = _of(MEASURES, "LimitTable")
-    definitions["TradeOffTable"]["properties"] |= _of(single, "GoalTable")["properties"]
+    tables["variables"] = _named(IN_FILES, "VariableTable")
+    tables["minimise"] = _named(single, "TermTable")
+    tables["require"] = _named(MEASURES, "LimitTable")
     soil = [name for name in IN_FILES if IN_FILES[name].owner == "soil"]
-    definitions["UncertainTable"]["properties"] |= _of(soil, "DistributionTable")["properties"]
+    for table, names, kind in (("TradeOff", single, "GoalTable"), ("Uncertain", soil, "DistributionTable")):
+        definitions[f"{table}Table"]["properties"] |= _named(names, kind)["properties"]
     speeds = definitions["SceneFile"]["properties"]
     times = {"type": "array", "items": {"type": "string"}, "minItems": 2}
     course = {"type": "object", "properties": {"time": times, "speed": times}, "required": ["time", "speed"]}
     constant = speeds["tow_speed"]
     speeds["tow_speed"] = {"description": constant.pop("description"), "anyOf": [constant, course]}
-    return {"$schema": _DIALECT, **schema, "title": "plough_opt problem file"}
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": dialect, **schema, "title": "plough_opt problem file"}
+
+
+def _named(names: Iterable[str], table: str) -> dict[str, Any]:
+    """Return the schema of a table that maps names, dotted or as nested tables, to tables of one kind."""
+    meanings = {name: EVERY[name].meaning if name in EVERY else called(name) for name in names}
+    entries = {name: {"$ref": f"#/$defs/{table}", "description": meaning} for name, meaning in meanings.items()}
+    nested = {name.partition(".")[0]: {"type": "object"} for name in meanings if "." in name}
+    return {"type": "object", "properties": entries | nested, "additionalProperties": False}
 
 
 class _WithoutNull(GenerateJsonSchema):
@@ -484,22 +475,5 @@ class _WithoutNull(GenerateJsonSchema):
         return self.generate_inner(schema["schema"])
 
     def default_schema(self, schema: Any) -> dict[str, Any]:
-        found = super().default_schema(schema)
-        return {key: part for key, part in found.items() if (key, part) != ("default", None)}
-
-
-def _of(names: Iterable[str], table: str, meanings: Mapping[str, str] = {}) -> dict[str, Any]:
-    """Return the schema of a table that maps names to tables of one kind.
-
-    Args:
-        names: valid names; a dotted name may also be written as nested tables.
-        table: name of the kind of table among the definitions.
-        meanings: name -> description.
-    """
-    properties: dict[str, Any] = {
-        name: {"$ref": f"#/$defs/{table}"} | ({"description": meanings[name]} if name in meanings else {})
-        for name in names
-    }
-    outer = sorted({name.partition(".")[0] for name in properties if "." in name})
-    nested = {name: {"type": "object"} for name in outer}
-    return {"type": "object", "properties": properties | nested, "additionalProperties": False}
+        described = super().default_schema(schema)
+        return {key: part for key, part in described.items() if (key, part) != ("default", None)}

@@ -6,10 +6,10 @@ import contextlib
 import difflib
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from functools import cached_property, reduce
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from pydantic import ValidationError
 
@@ -17,6 +17,7 @@ from plough_opt.core.errors import DomainError, InputError, nearest, short, unpr
 from plough_opt.core.files import BYTE_ORDER_MARK, read_text
 from plough_opt.core.tables import raise_listed
 from plough_opt.core.units import Unit
+from plough_opt.problem_file.schema import valid_keys
 
 Keys = tuple[str, ...]
 
@@ -32,16 +33,11 @@ _SCHEMA_MESSAGES: Final = {
     "list_type": "= {written} must be a list in brackets",
     "missing": "is missing: add it",
 }
-# What the parser says -> what to do about it.
-_TOML_REMEDIES: Final = (
-    (r"Cannot (?:declare|mutate|redefine)", "a table appears twice: join the two"),
-    (r"Cannot overwrite|Duplicate", "a key appears twice: remove one of the two"),
-    (r"", 'write each key on its own line, as tow_speed = "7.2 km/h", with text in quotes'),
-)
 # A number with a decimal comma where TOML expects a value.
 _DECIMAL_COMMA: Final = re.compile(r"^[^#\"']*=\s*([+-]?[0-9]+,[0-9]+)(?![\w\"'])")
 MOST_TABLES: Final = 8
 """Nesting depth of tables and lists that a problem file may have; the schema needs four."""
+TOO_DEEP: Final = f"tables or lists are nested more than {MOST_TABLES} deep: write them flat"
 # Size limits: far above any file written by hand, and low enough that any content is read within a second.
 _MAX_BYTES: Final = 100_000
 _MAX_LINE_LENGTH: Final = 1_000  # below the 4300 digits beyond which Python refuses to parse an integer
@@ -57,7 +53,7 @@ class Source:
         name: the name of the file in messages.
         original: the text as it is in the file.
         text: the text without byte order mark, its lines ended by single line feeds.
-        data: the parsed tables, with overrides applied.
+        data: the parsed tables, with overrides applied; dotted names of variables are single keys.
         overridden: path of each key that an override set -> the override as the user wrote it.
         read_files: name of each data file, as the problem file writes it -> its text.
     """
@@ -72,13 +68,14 @@ class Source:
         self.text = text.removeprefix(BYTE_ORDER_MARK).replace("\r\n", "\n")
         self.overridden: dict[Keys, str] = {}
         self.read_files: dict[str, str] = {}
-        self._noted: list[InputError] = []
+        self._noted: list[PlacedError] = []
         for number, line in enumerate(self.text.split("\n"), start=1):
             if len(line) > _MAX_LINE_LENGTH:
                 raise InputError(f"{name}, line {number}: {len(line)} characters; at most {_MAX_LINE_LENGTH}: split it")
-        self.data: dict[str, Any] = parsed_toml(self.text, name)
+        self.data = _parsed_toml(self.text, name)
         if wrong := unreadable(self.data):
             raise self.error(*wrong)
+        join_dotted(self.data)
 
     @classmethod
     def read(cls, path: Path) -> Source:
@@ -91,6 +88,11 @@ class Source:
         missing = "plough-opt init FILE writes one"
         return cls(read_text(path, "a problem file", ".toml", _MAX_BYTES, missing), str(path))
 
+    def written(self, key: str) -> Any:
+        """Return the value of a dotted key as the file writes it, or None."""
+        parts, whole = key.split("."), self.data
+        return reduce(lambda table, part: table.get(part) if isinstance(table, dict) else None, parts, cast(Any, whole))
+
     def line_of(self, keys: Sequence[str]) -> int:
         """Return the line on which a key begins, or else the innermost table around it that is found; 0 if none is."""
         places = (".".join(keys[:count]) for count in range(len(keys), 0, -1))
@@ -99,38 +101,33 @@ class Source:
     @cached_property
     def _line_of(self) -> dict[str, int]:
         """Dotted name of each key and table, however the text writes it -> the line on which it begins."""
-        found: dict[str, int] = {}
+        lines: dict[str, int] = {}
         table: Keys = ()
         statement, begun = "", 1
         for number, line in enumerate(self.text.split("\n"), start=1):
             statement += f"{line}\n"
             try:
-                parsed = tomllib.loads(statement)
+                paths = [keys for keys, _ in entries(tomllib.loads(statement))]
             except tomllib.TOMLDecodeError:  # it goes on in the next line
                 continue
-            paths = [*_paths(parsed)]
-            if paths and statement.lstrip().startswith("["):
-                table = ()
-            for path in paths:
-                for count in range(1, len(table) + len(path) + 1):
-                    found.setdefault(".".join((*table, *path)[:count]), begun)
-            if paths and statement.lstrip().startswith("["):
-                table = max(paths, key=len)
+            heading = statement.lstrip().startswith("[")
+            for keys in paths:
+                lines.setdefault(".".join(keys if heading else (*table, *keys)), begun)
+            table = max(paths, key=len) if heading else table
             statement, begun = "", number + 1
-        return found
+        return lines
 
-    def written(self, key: str) -> Any:
-        """Return the value of a dotted key as the file writes it, or None."""
-        return entry_at(self.data, key)
-
-    def error(self, keys: Sequence[str], message: str) -> InputError:
-        """Return an error about a key that names its line, or the override that set it."""
+    def error(self, keys: Sequence[str], message: str) -> PlacedError:
+        """Return an error about a key that names its line, or the override that set it or a part of it."""
         for path, text in self.overridden.items():
-            within_entry = keys[0] in ("variables", "minimise", "require") and len(keys) >= 2
-            if path == tuple(keys[: len(path)]) or (within_entry and path[:2] == tuple(keys) and path[2] != "log"):
+            if path == tuple(keys[: len(path)]) or (len(keys) > 1 and path[: len(keys)] == tuple(keys)):
                 return PlacedError(f"--set {text}: {message}", 0)
         line = self.line_of(keys)
         return PlacedError(f"{self.name}{f', line {line}' if line else ''}: {message}", line)
+
+    def note(self, keys: Sequence[str], message: str) -> None:
+        """Note a mistake in a key, with file and line, for `raise_noted`."""
+        self._noted.append(self.error(keys, message))
 
     @contextlib.contextmanager
     def noting(self, keys: Sequence[str], prefix: str = "") -> Iterator[None]:
@@ -148,10 +145,6 @@ class Source:
             self.note(keys, f"{prefix}{error}")
         except ArithmeticError:  # overflow, or a difference of huge numbers that is 0
             self.note(keys, f"{prefix}too large or too small to compute with: check its unit")
-
-    def note(self, keys: Sequence[str], message: str) -> None:
-        """Note a mistake in a key, with file and line, for `raise_noted`."""
-        self._noted.append(self.error(keys, message))
 
     def parsed(self, keys: Keys, unit: Unit, written: object, what: str, more: str = "") -> float:
         """Return a written quantity in SI.
@@ -171,38 +164,35 @@ class Source:
         except InputError as error:
             raise self.error(keys, f"{what} {error}{more}") from None
 
-    def raise_noted(self) -> None:
-        """Raise one InputError that lists all noted mistakes in order of their lines, if there are any."""
-        line_of = {str(error): getattr(error, "line", 0) for error in self._noted}
-        raise_listed(sorted(line_of, key=line_of.__getitem__), _MAX_LISTED)
-
-    def note_schema(self, error: ValidationError, valid: Callable[[Keys], Sequence[str]]) -> None:
-        """Note every error that the schema found, with its line.
-
-        Args:
-            error: the errors of the schema.
-            valid: path of a table -> its valid keys, for suggestions.
-        """
+    def note_schema(self, error: ValidationError) -> None:
+        """Note every error that the schema found, with its line."""
         # A union reports one error for each alternative, whose name it adds to the path; the first is enough.
         items = {tuple(str(key) for key in item["loc"] if key not in ("str", "int", "float")): item
                  for item in reversed(error.errors())}  # fmt: skip
         unknown = [keys for keys, item in items.items() if item["type"] == "extra_forbidden"]
         # A misspelt key is reported as unknown; do not report the key that it stands for as missing too.
         meant = {(*keys[:-1], name) for keys in unknown[:_MAX_LISTED]
-                 for name in difflib.get_close_matches(keys[-1], valid(keys[:-1]), n=2, cutoff=0.55)}  # fmt: skip
+                 for name in difflib.get_close_matches(keys[-1], valid_keys(keys[:-1]), n=2, cutoff=0.55)}  # fmt: skip
         for keys, item in items.items():
-            beside = [text for path, text in self.overridden.items() if path[:-1] == keys[:-1]]
-            if item["type"] == "missing" and beside:
-                self._noted.append(PlacedError(f"--set {beside[0]}: '{'.'.join(keys)}' is missing: set it too", 0))
-            elif item["type"] != "missing" or keys not in meant:
-                self.note(keys, f"'{'.'.join(keys)}'{_explained(keys, item, valid)}")
+            missing = item["type"] == "missing"
+            if not (missing and keys in meant):
+                self.note(keys[:-1] if missing else keys, f"'{'.'.join(keys)}'{_explained(keys, item)}")
+
+    def raise_noted(self) -> None:
+        """Raise one InputError that lists all noted mistakes in order of their lines, if there are any."""
+        in_order = sorted(self._noted, key=lambda error: error.args[1])
+        raise_listed([*dict.fromkeys(map(str, in_order))], _MAX_LISTED)
 
 
-def _explained(keys: Keys, item: Any, valid: Callable[[Keys], Sequence[str]]) -> str:
+class PlacedError(InputError):
+    """An error whose second argument is its line number; 0 for an override."""
+
+
+def _explained(keys: Keys, item: Any) -> str:
     """Return one error of the schema in plain words, with what to do about it, to follow the key."""
     written = short(repr(item["input"]))
     if item["type"] == "extra_forbidden":
-        return f" is not a known key: {nearest(keys[-1], valid(keys[:-1]))}"
+        return f" is not a known key: {nearest(keys[-1], valid_keys(keys[:-1]))}"
     if item["type"] == "literal_error":
         choices = re.findall(r"'([^']*)'", item["ctx"]["expected"])
         return f" = {written} is unknown: {nearest(str(item['input']), choices)}"
@@ -213,62 +203,59 @@ def _explained(keys: Keys, item: Any, valid: Callable[[Keys], Sequence[str]]) ->
     return f"{joint}{message[0].lower() + message[1:]}"
 
 
-class PlacedError(InputError):
-    """An error with its line number; 0 for an override."""
-
-    def __init__(self, message: str, line: int) -> None:
-        super().__init__(message)
-        self.line = line
-
-
-def parsed_toml(text: str, name: str) -> dict[str, Any]:
+def _parsed_toml(text: str, name: str) -> dict[str, Any]:
     """Return the tables of a TOML text; raise InputError that gives the line and what to do."""
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise InputError(f"{name}: tables or lists are nested more than {MOST_TABLES} deep: write them flat") from None
+        raise InputError(f"{name}: {TOO_DEEP}") from None
     except tomllib.TOMLDecodeError as error:
-        lines = text.splitlines() or [""]
-        at = re.search(r"at line (\d+)", str(error))
-        number = int(at[1]) if at else len(lines)
-        comma = _DECIMAL_COMMA.search(lines[min(number, len(lines)) - 1])
-        said = short(str(error).split(" (at")[0], 100)
-        remedy = f"{said}; {next(words for pattern, words in _TOML_REMEDIES if re.match(pattern, said))}"
-        if comma is not None:
+        lines, at = text.split("\n"), re.search(r"at line (\d+)", str(error))
+        number = min(int(at[1]), len(lines)) if at else len(lines)
+        remedy = 'write each key once, on its own line, as tow_speed = "7.2 km/h", with text in quotes'
+        if comma := _DECIMAL_COMMA.search(lines[number - 1]):
             remedy = f"{comma[1]} has a decimal comma: write {comma[1].replace(',', '.')}"
-        raise InputError(f"{name}, line {number}: not valid TOML: {remedy}") from None
+        said = short(str(error).split(" (at")[0], 100)
+        raise InputError(f"{name}, line {number}: not valid TOML: {said}; {remedy}") from None
 
 
-def entry_at(data: Any, key: str) -> Any:
-    """Return the value of a dotted key in nested tables, or None."""
-    for part in key.split("."):
-        data = data.get(part) if isinstance(data, dict) else None
-    return data
+def entries(data: Any) -> Iterator[tuple[Keys, Any]]:
+    """Yield path and value of the whole and of all tables, lists and values in it, one level beyond the deepest."""
+    rest: list[tuple[Keys, Any]] = [((), data)]
+    while rest:  # a loop, because deep nesting would exhaust recursion
+        keys, value = rest.pop()
+        yield keys, value
+        inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+        if len(keys) <= MOST_TABLES:
+            rest += [((*keys, str(name)), each) for name, each in inner]
 
 
 def unreadable(data: Any) -> tuple[Keys, str] | None:
     """Return the path and description of a parsed value that cannot be printed or computed with, or None."""
-    rest: list[tuple[Keys, Any]] = [((), data)]
-    while rest:  # a loop, because deep nesting would exhaust recursion
-        keys, value = rest.pop()
+    for keys, value in entries(data):
         if len(keys) > MOST_TABLES:
-            return keys[:MOST_TABLES], f"tables or lists are nested more than {MOST_TABLES} deep: write them flat"
+            return keys[:MOST_TABLES], TOO_DEEP
         if isinstance(value, int) and value.bit_length() > _MAX_INTEGER_BITS:
             return keys, f"'{'.'.join(keys)}' is larger than any number that can be computed with: check it"
         for text in (*keys[-1:], value):
             if isinstance(text, str) and (wrong := unprintable(text)) is not None:
                 return keys, f"'{'.'.join(keys)}' holds {wrong}, a character that cannot be printed: remove it"
-        inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-        rest += [((*keys, str(name)), one) for name, one in inner]
     return None
 
 
-def _paths(parsed: Any, before: Keys = ()) -> Iterator[Keys]:
-    """Yield the path of each value and table, down to the nesting limit."""
-    if isinstance(parsed, list):  # an array of tables, from a heading in double brackets
-        for one in parsed:
-            yield from _paths(one, before)
-    elif isinstance(parsed, dict) and len(before) <= MOST_TABLES:
-        for name, value in parsed.items():
-            yield (*before, name)
-            yield from _paths(value, (*before, name))
+def join_dotted(data: dict[str, Any]) -> None:
+    """Replace unquoted keys such as share.height = {...} in [variables] and [uncertain] by "share.height" = {...}."""
+
+    def joined(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+        if isinstance(value, dict) and value and all(isinstance(each, dict) for each in value.values()):
+            for key, each in value.items():
+                yield from joined(f"{name}.{key}", each)
+        else:
+            yield name, value
+
+    for table in (data[name] for name in ("variables", "uncertain") if isinstance(data.get(name), dict)):
+        pairs = [pair for name, value in table.items() for pair in joined(name, value)]
+        table.clear()
+        for name, value in pairs:  # an override may have added keys to a table under the quoted name
+            own = table.get(name)
+            table[name] = own | value if isinstance(own, dict) and isinstance(value, dict) else value

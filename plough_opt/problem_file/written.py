@@ -18,7 +18,7 @@ from plough_opt.laws import LAWS
 from plough_opt.motion.effects import OWN_EFFECTS, Effects
 from plough_opt.motion.scene import Scene, quantities_of
 from plough_opt.problem_file.problem import FileVariable, Problem
-from plough_opt.problem_file.reading import apply_override, join_dotted, read_source, variable_of
+from plough_opt.problem_file.reading import apply_override, read_source, variable_of
 from plough_opt.problem_file.schema import CHOICES, CONTACTS, VariableTable
 from plough_opt.problem_file.source import Source
 from plough_opt.soil.geometry import Wedge
@@ -78,8 +78,6 @@ def _choices(scene: Scene) -> Iterator[tuple[str, Any]]:
         if getattr(effects, name) != getattr(Effects, name):
             yield name, getattr(effects, name)
     yield from (("contact", word) for word, (kind, _) in CONTACTS.items() if isinstance(effects.contact, kind))
-    if effects.orbit != Effects.orbit:
-        yield "orbit", effects.orbit
     if effects.own:
         yield "own", [_fields("effect", OWN_EFFECTS, one) for one in effects.own]
 
@@ -126,14 +124,12 @@ def tables_of(problem: Problem) -> dict[str, Any]:
     source = Source(problem.text, problem.name)
     for text in problem.overrides:
         apply_override(source, text)
-    join_dotted(source.data)
     return source.data
 
 
 def fixed_variables(problem: Problem) -> dict[str, FileVariable]:
     """Return the variables of a problem's file that its overrides fix, as the file declares them."""
     source = Source(problem.text, problem.name)
-    join_dotted(source.data)
     declared = {**source.data.get("variables", {})}.items()
     return {key: variable_of(source, key, VariableTable.model_validate(table)) for key, table in declared
             if key not in problem.variables}  # fmt: skip

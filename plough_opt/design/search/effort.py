@@ -52,7 +52,7 @@ class Effort:
         seconds: time after which to stop [s], or None.
         descents: most descents from local minima of the sample, lowest first.
         followed: most descents from the local minima below uniform designs.
-        looks: most looks around the ends, which go on as long as they find lower ones.
+        looks: most looks around the ends, which stop after two in a row that find nothing lower.
     """
 
     designs: int
@@ -61,7 +61,7 @@ class Effort:
     seconds: float | None = None
     descents: int = 16
     followed: int = 0
-    looks: int = 4
+    looks: int = 8
 
     def more(self, rounds: int, designs: int, began: float) -> bool:
         """Return whether to start another round.

@@ -151,6 +151,7 @@ class _Search:
         Differences of ends lead from one ripple to another; a box and lines along each variable show what a sample of
         all variables is too sparse to show.
         """
+        vain = 0
         for number in range(looks if self._landscape.vectorised and self._ends else 0):
             if self._limit.passed("a closer look at the best designs"):
                 return
@@ -166,12 +167,13 @@ class _Search:
             self._descend(tried.points[lowest[new][:8]], "further descents")
             size = abs(best.f[0]) if best.feasible[0] else best.violation[0]
             # A smaller part of the objective does not justify another look.
-            if not min(end.key[0] for end in self._ends) < best.key[0] - 1e-6 * size:
+            vain = 0 if min(end.key[0] for end in self._ends) < best.key[0] - 1e-6 * size else vain + 1
+            if vain == 2:
                 return
 
     def _around(self, ends: Vector, rng: np.random.Generator) -> Vector:
         """Return designs around ends, which are given best first."""
-        some, count, n = self._variables, 256, len(self._variables)
+        some, count, n = self._variables, 512, len(self._variables)
         lines = np.tile(ends[:2, None, None], (n, _POSITIONS, 1))
         lines[:, range(n), :, some] = np.linspace(0.0, 1.0, _POSITIONS)
         if n == 1:

@@ -1,10 +1,8 @@
 """The accuracy study of a scene and of a design: true errors, advice, failures, pictures, and its script."""
 
-import dataclasses
 import math
 
 import casadi as ca
-import matplotlib.image
 import numpy as np
 import pytest
 from helpers.linear_motion import averages, oscillation
@@ -143,16 +141,6 @@ def test_the_front_holds_what_nothing_beats_in_time_and_error():
     assert [entry.setting for entry in study.front] == ["loose", "tight", "fine", "error 1e-08", below[1]]
 
 
-def test_failures_with_the_same_reason_share_a_sentence_and_have_no_picture():
-    rows = (("a", "1", "slow"), ("b", "", "odd"), ("a", "2", "slow"))
-    failed = tuple(MethodResult(m, s, math.inf, failure=reason) for m, s, reason in rows)
-    study = dataclasses.replace(made(), entries=failed)
-    assert study.refusals == ("no result of a, 1; a, 2: slow", "no result of b: odd")
-    assert study.advice == "nothing tried gives a result: no result of a, 1; a, 2: slow"
-    with pytest.raises(po.InputError, match="no error to draw: no result of a"):
-        study.plot()
-
-
 def test_table_frame_and_picture_show_every_entry(tmp_path):
     study = made(LOOSE, TIGHT, ("rk", "exact", 6e-3, 0.0), DEFAULT)
     text = str(study.page())
@@ -224,17 +212,3 @@ def test_the_scenes_are_what_they_are_called(cost):
     travel = po.simulate(*entry).travel
     assert travel[0] == 0.0 < entry[0].cone.height < travel[-1]
     assert float(smooth[0].natural_frequency) * smooth[1] < 100
-
-
-@pytest.mark.slow
-def test_short_versions_of_the_scenes(cost, tmp_path, monkeypatch, capsys):
-    soft = {name: dataclasses.replace(s, stiffness=min(s.stiffness, 2e5)) for name, (s, _) in cost.scenes().items()}
-    short = {name: (soft[name], duration / 20.0) for name, (_, duration) in cost.scenes().items()}
-    monkeypatch.setattr(cost, "scenes", lambda: short)
-    cost.main(["--folder", str(tmp_path)])
-    printed = capsys.readouterr().out
-    assert printed.count("for 1e-06 take ") == 5
-    assert "cannot locate the events" in printed
-    assert matplotlib.image.imread(tmp_path / "accuracy_cost.png").shape[:2] == (1014, 1560)
-    for word, name in zip(("smooth", "stiff", "resonant", "stick", "entry"), cost.scenes(), strict=True):
-        assert po.AccuracyStudy.load(tmp_path / f"accuracy_cost_{word}.json").title == name

@@ -35,19 +35,6 @@ def r1(r1_scene, r1_wave):
     )
 
 
-def test_names_units_and_bounds_are_attached(r1):
-    assert [(p.name, p.unit, p.lower, p.upper) for p in r1.inputs] == [
-        ("share.wedge_angle", "rad", *BOUNDS["share.wedge_angle"]),
-        ("share.height", "m", 0.1, 0.5),
-        ("scene.stiffness", "N/m", 5e3, 5e5),
-    ]
-    assert [(p.name, p.unit) for p in r1.outputs] == list(zip(RESULTS, ["N", "N", "m", "m", "rad"], strict=True))
-    assert (r1.name(), r1.name_in()) == ("r1", ["share_wedge_angle", "share_height", "scene_stiffness"])
-    assert r1.name_out() == RESULTS
-    for text in ("scene.stiffness [N/m] 5000 to 500000, value 50000", "force_rms [N]", "551 steps", "plane sections"):
-        assert text in str(r1)
-
-
 @pytest.mark.parametrize("run", R1_RUNS, ids=lambda run: f"{run[0]:g}deg-{run[2]:g}")
 def test_values_agree_with_long_double_simulations(r1, run):
     angle, height, stiffness, mean, rms = run
@@ -264,25 +251,6 @@ def test_duration_and_masses_are_inputs_too(r1_scene):
     fixed = po.component(scene, 0.5, inputs=["share.height"], outputs=["mean_draft"])
     told = [any("the moving mass stays" in note for note in one.warnings) for one in (made, fixed)]
     assert told == [False, True]
-
-
-@pytest.mark.parametrize("kind", [ca.MX, pytest.param(ca.SX, marks=pytest.mark.slow)])
-def test_a_scene_of_symbols_with_a_density_profile(r1_soil, kind):
-    k, width = kind.sym("k"), kind.sym("width")
-
-    def scene(k, width):
-        soil = r1_soil.with_density_profile(lambda r, w: 1400 * (1.05 + 0.3 / (1.0 + (r / w) ** 2)), width, order=5)
-        return po.Scene(soil, po.Wedge(0.5, 0.25, 0.25), k, 25.0, 2.0, po.Effects(strength_wave=WAVE))
-
-    def cost(run):
-        return run.mean_draft / 1e3 + run.force_rms**2
-
-    inputs = [po.Input("mount", 3e4, 6e4, unit="N/m", symbol=k), po.Input("width", 0.1, 0.3, unit="m", symbol=width)]
-    outputs = [po.Output("cost", of=cost, unit="kN"), "loosened_radius"]
-    made = po.component(scene(k, width), 1.0, inputs=inputs, outputs=outputs)
-    run = po.simulate(scene(4e4, 0.2), 1.0)
-    assert made(4e4, 0.2) == pytest.approx((cost(run), run.scene.loosened_radius), rel=1e-7)
-    assert [port.unit for port in (*made.inputs, *made.outputs)] == ["N/m", "m", "kN", "m"]
 
 
 FREE = ca.MX.sym("k")

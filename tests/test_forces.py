@@ -9,10 +9,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from helpers import equations
 from helpers import high_precision as hp
 from helpers.equations import FIRM, SOIL, forces, resistance
-from helpers.high_precision import assert_close, assert_derivatives, differentiated, mp
+from helpers.high_precision import assert_close, assert_derivatives, mp
 from helpers.refusals import refusals
 from helpers.scenes import SEROZEM, SHARE, scene_of
 
@@ -30,18 +29,6 @@ def test_reaction_omits_effects_that_are_off(r1_scene):
     assert r1_scene(added_mass=False).reaction == replace(full, added_mass=0.0)
     assert r1_scene(ambient_pressure=False).reaction == dry
     assert dry.static < full.static
-
-
-def test_scales_of_a_scene(r1_scene):
-    scene = r1_scene(strength_wave=po.StrengthWave(0.3, 0.6), rate_term=0.05)
-    static, drag, added = scene.reaction.static, scene.reaction.drag, scene.reaction.added_mass
-    assert scene.inertia == scene.mass + added
-    assert scene.natural_frequency == pytest.approx(math.sqrt(5e4 / (scene.mass + added)), rel=1e-15)
-    assert scene.wave_frequency == pytest.approx(2 * math.pi * 2.0 / 0.6, rel=1e-15)
-    assert scene.steady_resistance == pytest.approx(static * (1 + 0.05 * 4.0) + drag * 4.0, rel=1e-15)
-    assert (scene.branch, r1_scene().branch) == ("stiff", "")
-    assert r1_scene().wave_frequency == 0.0
-    assert r1_scene(added_mass=False).inertia == scene.mass
 
 
 # --- warnings ---
@@ -147,56 +134,6 @@ def test_numbers_outside_the_domain_are_refused_by_name_and_value(thing, argumen
             assert ("must be finite" in str(error.value)) is not math.isfinite(value)
     for value in allowed:
         assert getattr(replace(thing, **{argument: value}), argument) == value
-
-
-# --- wedge and cone against the printed formulas in 120 digits ---
-
-
-# A dozen roundings of 1.1e-16 in numbers that are squared twice.
-ROUNDING = 1e-14
-
-WEDGES = [
-    *[(math.radians(d), 0.2) for d in (1e-6, 0.1, 5.0, 30.0, 45.0, 60.0, 80.0, 89.0, 89.9, 89.99)],
-    *[(1e-8, 0.0), (1e-8, 0.3), (1e-4, 1.5), (0.5, 0.0), (0.5, 1e-9), (0.5, 1.2)],
-]
-CONES = [1e-8, 0.01, 0.2, 0.7, 1.5]
-
-
-def wedge_area(*numbers):
-    return po.Wedge(*numbers).area
-
-
-def cone_area(*numbers):
-    return po.Cone(*numbers).area
-
-
-def half_angle(wedge_angle, chisel_angle):
-    return po.Wedge(wedge_angle, chisel_angle, 0.3).equivalent_cone().half_angle
-
-
-EQUATIONS = [
-    *[(wedge_area, equations.wedge_area, (*point, 0.3)) for point in WEDGES],
-    *[(cone_area, equations.cone_area, (angle, 0.3)) for angle in CONES],
-    *[(half_angle, equations.half_angle, point) for point in WEDGES],
-]
-
-
-@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
-@pytest.mark.parametrize(("equation", "precise", "point"), EQUATIONS)
-def test_value_gradient_and_hessian(equation, precise, point, symbol):
-    assert_close(equation(*point), precise(*map(mp.mpf, point)), 1e-15, "float")
-    # An angle is an exact float, so its tangent is rounded only once and accurate even near 90 degrees.
-    found = differentiated(equation, symbol, len(point))(point)
-    assert_derivatives(found, hp.derivatives(precise, point), ROUNDING, range(len(point)))
-
-
-@pytest.mark.parametrize("angle", CONES)
-def test_volume_and_mass_of_a_cone(angle):
-    tan, height = mp.tan(mp.mpf(angle)), mp.mpf(0.3)
-    cone, volume = po.Cone(angle, 0.3), mp.pi * (height * tan) ** 2 * height / 3
-    assert_close(cone.slope, tan, 1e-15)
-    assert_close(cone.volume, volume, 1e-15)
-    assert_close(cone.solid_mass(7850.0), 7850 * volume, 1e-15)
 
 
 # --- resistance against independent values and 120 digits ---

@@ -449,16 +449,6 @@ def refused(line, told):
     assert told in done.said
 
 
-def test_the_page_shows_five_additions_each_one_file_and_one_line():
-    assert list(SECTIONS) == ["An effect", "A resistance law", "A measure", "An export format", "An integrator"]
-    for section in SECTIONS:
-        line = r"^(?:po\.laws\.)?(OWN_EFFECTS|LAWS|MEASURES|FORMATS|METHODS)\["
-        assert len(re.findall(line, module_of(section)[1], flags=re.MULTILINE)) == 1, section
-    named = re.findall(r"`(plough_opt/[\w/]+\.py)`", TEXT)
-    assert len(named) == 5
-    assert all((ROOT / path).exists() for path in named)
-
-
 def test_effect(workshop, capsys):
     workshop("An effect")
     first, second = use("An effect", capsys)[0].splitlines()

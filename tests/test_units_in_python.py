@@ -44,13 +44,6 @@ def test_texts_pint_quantities_and_si_numbers_make_the_same_scene():
         assert {name: value for name, value in quantities_of(made).items() if value} == wanted
 
 
-def test_dimensions_of_tines_may_have_a_unit():
-    tine = po.laws.McKyesAli(width="6 cm", depth=0.3 * U.m, rake_angle="45 deg", surcharge="1 kPa").tine(IN_SOIL)
-    assert tuple(tine) == pytest.approx((0.06, 0.3, po.deg(45), 1e3, 0.0), rel=1e-15)
-    drafts = [scene_of(medium=po.laws.AsabeD497(depth=depth)).steady_resistance for depth in (0.3, "30 cm")]
-    assert drafts[1] == pytest.approx(drafts[0], rel=1e-15)
-
-
 SLIPS = {
     "stiffness": (lambda x: po.Scene(SEROZEM, po.Cone(0.2, 0.25), x, 20.0, 2.0), 50, "50 kN/m"),
     "tow speed": (lambda x: po.Scene(SEROZEM, po.Cone(0.2, 0.25), 5e4, 20.0, x), 7.2, "7.2 km/h"),
@@ -110,20 +103,6 @@ test_plain_numbers_with_a_unit_that_is_not_si_are_refused_with_the_remedy = refu
     (lambda: po.Input("scene.stiffness", "20 kN"), "wrong unit"),
     (lambda: po.Output("mean_draft", upper="8 m"), "wrong unit"),
 )
-
-
-def test_durations_bounds_and_limits_accept_texts_and_pint():
-    scene, stiffness = scene_of(), ca.MX.sym("stiffness")
-    varied = scene_of(stiffness=stiffness, damping=400.0)
-    given = po.Input("scene.stiffness", "20 kN/m", 200.0 * U.kN / U.m)
-    assert (given.lower, given.upper) == pytest.approx((2e4, 2e5), rel=1e-15)
-    assert po.Output("mean_draft", upper="8 kN").upper == 8e3
-    wanted = po.Batch(varied, 0.2, [stiffness])([[5e4]]).mean_draft
-    for duration in ("200 ms", 0.2 * U.s):
-        assert po.simulate(scene, duration).duration == 0.2
-        assert po.Batch(varied, duration, [stiffness])([[5e4]]).mean_draft == wanted
-        made = po.component(scene, duration, inputs=[given], outputs=["mean_draft"])
-        assert made(5e4) == po.component(scene, 0.2, inputs=["scene.stiffness"], outputs=["mean_draft"])(5e4)
 
 
 # --- arguments of the wrong type or outside a formula's domain are refused by name ---

@@ -190,7 +190,7 @@ def _scipy_rows(p, error, contest):
     return rows
 
 
-# --- R1 and five shares, compared with SLSQP to a relative gap of 1e-8 ---
+# --- R1, compared with SLSQP to a relative gap of 1e-8 ---
 
 
 GAP = 1e-8
@@ -206,7 +206,6 @@ TASKS = {
     "local": "R1 from the first start to a local optimum",
     "best": "R1 to the global optimum: ours searches, others from five starts",
 }
-TEN = "five shares, ten variables, from the start to a local optimum"
 
 
 def _judged(x, reported):
@@ -255,72 +254,6 @@ def _find_all_optima(best):
     for _, stiffness, objective in r1.OPTIMA:
         nearest = min(best.local_optima, key=lambda o: abs(math.log(o.variables["scene.stiffness"] / stiffness)))
         assert abs(nearest.objective / objective - 1.0) < GAP
-
-
-def test_ten_variables(r1_wave, contest, peer):
-    """Each difference of SLSQP costs a simulation of every share."""
-    from peers import slsqp
-
-    tools = {name: _solver_of_five(r1_wave, compiled) for name, compiled in DESIGN.items()}
-    if peer("numba_rk4") is not None:
-        for steps in (1600, 3200):
-            averages = slsqp.numba_averages(steps)
-            tools[f"SLSQP, Numba RK4, {steps} steps"] = partial(slsqp.five_shares, averages)
-    judged = {name: _judged_five(r1_wave, *solve()) for name, solve in tools.items()}
-    least = min(objective for objective, _, violation in judged.values() if violation < GAP)
-    rows = {}
-    for name, (objective, error, violation) in judged.items():
-        gap = objective / least - 1.0
-        assert max(error, gap, violation) < GAP or name not in DESIGN
-        note = f"J off by {error:.0e}, gap {gap:.0e}, violation {violation:.0e}"
-        rows[name] = tools[name], max(error, abs(gap)), note
-    contest.hold(TEN, rows)
-
-
-def _five_scenes(wave, angles, heights):
-    from peers import slsqp
-
-    scenes = []
-    for angle, height, cohesion in zip(angles, heights, slsqp.COHESIONS, strict=True):
-        soil = po.Soil(r1.DENSITY, r1.RATIO, cohesion, r1.FRICTION, r1.TOOL, r1.AMBIENT)
-        share = po.Wedge(angle, r1.CHISEL, height)
-        mass = r1.FRAME + share.equivalent_cone().solid_mass(r1.STEEL)
-        scenes.append(po.Scene(soil, share, slsqp.STIFFNESS, mass, r1.SPEED, po.Effects(strength_wave=wave)))
-    return scenes
-
-
-def _solver_of_five(wave, compiled):
-    """Return a function that solves the design of five shares and returns (angles and heights, objective)."""
-    from peers import slsqp
-
-    d = po.Design()
-    names = [(name, which, k) for which, name in enumerate(("angle", "height")) for k in range(1, 6)]
-    x = [d.variable(f"{name} {k}", guess=r1.START[which], lower=r1.LOWER[which], upper=r1.UPPER[which])
-         for name, which, k in names]  # fmt: skip
-    scenes = _five_scenes(wave, x[:5], x[5:])
-    runs = [po.simulate(scene, r1.DURATION) for scene in scenes]
-    d.minimise(sum(run.mean_draft + run.force_rms for run in runs) / 1e3)
-    d.require("mean radius", sum(scene.loosened_radius for scene in scenes) / 5.0, at_least=slsqp.MEAN_RADIUS)
-    for k, (scene, run) in enumerate(zip(scenes, runs, strict=True), 1):
-        d.require(f"deflection {k}", run.mean_deflection, at_most=0.15)
-        d.require(f"half angle {k}", scene.cone.half_angle, at_most=po.deg(15.0))
-
-    def solve():
-        best = solved_anew(d, search="local", compiled=compiled)
-        return np.array(list(best.variables.values())), best.objective
-
-    return solve
-
-
-def _judged_five(wave, x, reported):
-    """Return a design's objective to 1e-11, the error of the reported one, and the violation."""
-    from peers import slsqp
-
-    angles, heights = np.split(x, 2)
-    runs = [po.simulate(scene, r1.DURATION, accuracy=TRUE) for scene in _five_scenes(wave, angles, heights)]
-    objective = sum(run.mean_draft + run.force_rms for run in runs) / 1e3
-    least = np.min(slsqp.five_requirements(angles, heights, [run.mean_draft for run in runs]))
-    return objective, abs(reported / objective - 1.0), max(0.0, -float(least))
 
 
 # --- the disconnected front of oscillation against deflection, compared with pymoo's NSGA-II ---
@@ -501,18 +434,6 @@ def test_batch(contest, batch_of, r1_wave):
     _add(contest, "Batch, designs", tuple(sizes), lambda n: lambda: batch(sizes[n]))
     batches = {count: batch_of(2.0, 1e-6, **_effects(count)) for count in COUNTS}
     _add(contest, "Batch of 4096, effects that are on", COUNTS, lambda n: lambda: batches[n](sizes[4096]))
-
-
-@pytest.mark.parametrize("damping", [None, 250.0, 2000.0])
-@pytest.mark.parametrize("where", ["near the start", "all over the domain"])
-def test_batch_over_its_horizon(contest, batch_of, r1_wave, where, damping):
-    # Three in a thousand undamped motions all over the domain become chaotic within a minute and miss the wanted error.
-    values = _designs(2048) if where != "near the start" else r1.START * np.linspace(0.999, 1.001, 2048)[:, None]
-    horizons = (0.5, 2.0, 8.0, 32.0, 64.0)
-    batches = {t: batch_of(t, 1e-6, strength_wave=r1_wave, damping=damping) for t in horizons}
-    damper = "undamped" if damping is None else f"damped by {damping:g} N s/m"
-    what = f"Batch of 2048 {where}, {damper}, seconds simulated"
-    _add(contest, what, horizons, lambda t: lambda: batches[t](values))
 
 
 GROWING = [

@@ -27,30 +27,6 @@ def table(rows, seed=0, **options):
     return po.Measurements("mean_draft", values, {"scene.tow_speed": speed, "share.wedge_angle": angle}, **options)
 
 
-def assert_same(one, other):
-    """Assert that two fits agree in all results that do not depend on the order of the rows."""
-    numbers = []
-    for fit in (one, other):
-        ends = [end for own in fit.intervals().values() for end in own]
-        numbers.append([*fit.values.values(), *fit.standard_errors.values(), fit.scatter, *fit.optima, *ends])
-    # The search stops within 1e-4 of a standard error.
-    np.testing.assert_allclose(*numbers, rtol=1e-3, atol=1e-6)
-    assert (one.freedom, len(one.warnings)) == (other.freedom, len(other.warnings))
-
-
-@pytest.mark.parametrize("errors", ["constant", "relative"])
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_results_do_not_depend_on_the_order_of_rows_and_sets(seed, errors):
-    sets, rng = [table(7, seed), table(4, seed + 10), table(5, seed + 20)], np.random.default_rng(seed)
-    shuffled = []
-    for number in rng.permutation(3):
-        own, order = sets[number], rng.permutation(len(sets[number].values))
-        conditions = {key: column[order] for key, column in reversed(own.conditions.items())}
-        shuffled.append(po.Measurements("mean_draft", own.values[order], conditions))
-    one, other = (po.calibrate(steady_scene(), data, BOTH, errors=errors) for data in (sets, shuffled))
-    assert_same(one, other)
-
-
 @pytest.mark.parametrize("seed", [*range(4, 12), *(pytest.param(k, marks=pytest.mark.slow) for k in range(12, 80))])
 def test_any_small_table_gives_an_answer_or_an_input_error(seed):
     """Equal rows, constant columns, zeros, huge and tiny numbers and weights."""

@@ -3,7 +3,6 @@
 import contextlib
 import io
 import json
-import logging
 import math
 import os
 import shlex
@@ -19,7 +18,6 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
-import trimesh
 from helpers.commands import call, cells, printed
 from helpers.problem_files import PROBLEMS, REFERENCE, SUBSOILER
 from helpers.swept import until
@@ -247,16 +245,6 @@ def test_quiet_leaves_results_alone_and_the_error_stream_empty(tmp_path):
     assert "share.hight" in wrong.err
 
 
-def test_verbose_says_each_step_and_twice_each_run_and_leaves_logging_as_it_was():
-    library, own = logging.getLogger("plough_opt"), logging.getLogger("plough_opt.app.terminal")
-    before = library.level, list(library.handlers), own.level
-    once, twice = (call("simulate", SUBSOILER, how, *BRIEF).err for how in ("-v", "-vv"))
-    assert "simulating" in once
-    assert "estimated error" not in once
-    assert "estimated error" in twice
-    assert (library.level, library.handlers, own.level) == before
-
-
 @pytest.fixture
 def soon(monkeypatch):
     """Write lines of progress after hundredths of a second."""
@@ -422,16 +410,3 @@ def test_c_with_inputs_and_outputs_of_ones_own_passes_its_test(tmp_path):
     assert _component(out) == (["soil.cohesion", "scene.tow_speed"], ["mean_draft", "moving_mass"])
     assert "soil.cohesion [Pa] 10000 to 40000, value 20000" in out
     assert {path.name for path in (tmp_path / "c").iterdir()} == {"Makefile", "cotton.c", "cotton.h", "cotton_test.c"}
-
-
-def test_parts_have_units_and_bodies(tmp_path):
-    bent = ("--opening", "60 deg", "--thickness", "1 cm", "--at", "guess")
-    out = printed("export", REFERENCE, "--to", "stl", "--output", tmp_path / "share.stl", *bent)
-    share = po.read_problem(REFERENCE).scene().share
-    made = share.mesh(opening=po.deg(60), thickness=0.01)
-    assert f"60 deg between the faces, plate of 10 mm, {1e6 * made.volume:.4g} cm^3" in out
-    assert trimesh.load_mesh(tmp_path / "share.stl").volume == pytest.approx(1e9 * made.volume, rel=1e-6)
-    cone = ("--output", tmp_path / "a.stl", "--body", "cone", "--at", "guess")
-    assert "Cone of the guesses: half angle" in printed("export", REFERENCE, "--to", "stl", *cone)
-    volume = share.equivalent_cone().volume
-    assert trimesh.load_mesh(tmp_path / "a.stl").volume == pytest.approx(1e9 * volume, rel=1e-6)

@@ -19,7 +19,6 @@ import plough_opt as po
 from plough_opt.app.main import parser
 from plough_opt.core.tables import write_frame
 from plough_opt.studies.accuracy import AccuracyStudy
-from plough_opt.studies.tradeoff.front import distances
 
 # --- `plough-opt accuracy`: tables, advice and files ---
 
@@ -202,27 +201,6 @@ def test_json():
     # draft costs half a per cent of the radius.
     for point in front["points"][1:-1]:
         assert point["rate"] * point["objectives"][0] / point["objectives"][1] == pytest.approx(0.5, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_the_shipped_surface_is_even_and_certified():
-    front = po.read_problem(PROBLEMS / "draft_oscillation_loosening.toml").trade_off()
-    assert len(front.points) > 25
-    # It reaches to the widest shares: that with the least draft is stiff and slow, that which oscillates least soft.
-    (body,) = front.parts
-    assert sorted(body) == [*range(len(front.points))]
-    widest = np.flatnonzero(front.objectives[:, 2] > (1.0 - 1e-9) * 0.22)
-    assert {front.points[k].branch for k in widest} == {"soft", "stiff"}
-    assert max(point.gap for point in front.points) < 1e-8
-    assert max(point.residual for point in front.points) < 1e-9
-    assert {point.branch for point in front.points} == {"soft", "stiff"}
-    # All are as blunt as allowed: a slender share pays in friction twice what it saves in oscillation.
-    assert all("half_angle" in point.active for point in front.points)
-    normalised = front.objectives * [1.0, 1.0, -1.0] / np.ptp(front.objectives, axis=0)
-    apart = distances(normalised) + np.eye(len(normalised))
-    # 45 positions lie an eighth of the range apart, other points at 0.7 of that. Anchors stay, however near.
-    assert np.min(apart) > 0.5 / 8.0
-    assert np.max(np.min(apart[list(body)], axis=1)) < 1.75 / 8.0
 
 
 # --- what every command with a result writes: JSON, tables, pictures, and the conflicts of a problem ---

@@ -21,16 +21,6 @@ FIRM = {
 """An ordinary share in an ordinary soil: the arguments of `resistance`, in order."""
 
 
-def wedge_area(wedge_angle, chisel_angle, height):
-    """Equation (5)."""
-    return height**2 * mp.tan(wedge_angle) / mp.cos(chisel_angle) ** 2
-
-
-def cone_area(half_angle, height):
-    """Equation (6)."""
-    return mp.pi * height**2 * mp.tan(half_angle) / mp.cos(half_angle)
-
-
 def half_angle(wedge_angle, chisel_angle, m=mp):
     """Equation (7); sin(beta) = sqrt(p^2 + 1) - p is written as a quotient, for the floats."""
     p = m.pi * m.cos(chisel_angle) ** 2 / (2 * m.tan(wedge_angle))

@@ -156,26 +156,6 @@ def test_switched_effects_are_those_of_simulate_and_of_the_overrides_that_the_pa
 
 
 @needs_node
-def test_a_rough_run_for_the_landscape_is_near(tmp_path):
-    """Averages are those of the accurate run to five digits; a peak may lie between two outputs."""
-    model = page_model(po.read_problem(SUBSOILER))
-    rows = designs(model, "as in the file")
-    pairs = f"{script(model, rows)}\nconst both = (x) => [own.evaluate(x), own.evaluate(x, {{ sketch: true }})];"
-    (tmp_path / "rough.js").write_text(
-        f"{pairs}\nconsole.log(JSON.stringify({json.dumps(rows)}.map(both)));", encoding="utf-8"
-    )
-    done = subprocess.run([NODE, tmp_path / "rough.js"], capture_output=True, text=True, check=True)
-    for accurate, rough in json.loads(done.stdout):
-        size = abs(accurate["mean_draft"])
-        assert [rough[name] for name in ("mean_draft", "force_rms")] == pytest.approx(
-            [accurate[name] for name in ("mean_draft", "force_rms")], abs=1e-5 * size
-        )
-        assert rough["error_estimate"] is None
-        swing = accurate["peak_deflection"] - accurate["mean_deflection"]
-        assert abs(rough["peak_deflection"] - accurate["peak_deflection"]) < 0.1 * swing
-
-
-@needs_node
 def test_own_resistances_are_written_from_their_graph(tmp_path, monkeypatch):
     monkeypatch.setitem(OWN_EFFECTS, "shank", Shank)
     monkeypatch.setitem(OWN_EFFECTS, "waves", Waves)

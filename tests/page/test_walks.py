@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.browser import open_page
 from helpers.commands import printed
-from helpers.problem_files import PROBLEMS, STATIC, SUBSOILER, changed
+from helpers.problem_files import STATIC, SUBSOILER, changed
 
 import plough_opt as po
 
@@ -180,44 +180,6 @@ def test_an_effect_is_switched_off_with_what_it_does_and_costs(walk):
     assert cell(walk, "RMS of the mount force", 1) == "0 %"
 
 
-@pytest.fixture(scope="module")
-def traded(tmp_path_factory):
-    """Return the page of a front of nine designs."""
-    file = PROBLEMS / "draft_against_loosening.toml"
-    return po.explore(po.read_problem(file, ["trade_off.points=9"]), tmp_path_factory.mktemp("front") / "page.html")
-
-
-def place(page, x, y):
-    """Return where a point of the landscape lies in the window."""
-    return page.evaluate("""([x, y]) => {
-      const u = document.getElementById("now_cloud").uplot, box = u.over.getBoundingClientRect();
-      return [box.left + u.valToPos(x, "x"), box.top + u.valToPos(y, "y")];
-    }""", [x, y])  # fmt: skip
-
-
-@pytest.mark.thorough
-def test_a_point_of_a_front_is_taken_by_a_click_and_says_for_which_question_it_was_computed(opened, traded):
-    page = opened(traded)
-    assert "9 efficient designs" in page.locator("#answer").inner_text()
-    assert page.locator("#traded table.grid tbody tr").count() == 9
-    cloud = page.locator("#now_cloud")
-    cloud.scroll_into_view_if_needed()
-    page.locator("#sample", has_text="of 2000").wait_for(timeout=60_000)
-    marks = {mark["label"]: mark["designs"] for mark in page.evaluate("DATA.model.marks")}
-    design = marks["front"][6]
-    found = page.evaluate("v => ploughOpt.evaluate(v)", design)
-    page.mouse.click(*place(page, found["mean_draft"] / 1e3, found["loosened_radius"]))
-    settled(page)
-    assert state(page)["share.height"] == design["share.height"]
-    legend = cloud.locator(".u-legend")
-    assert legend.get_by_text("front", exact=True).count() == legend.get_by_text("knee", exact=True).count() == 1
-    page.get_by_label("tow speed in km/h").first.evaluate("field => field.closest('details').open = true")
-    page.get_by_label("tow speed in km/h").fill("9")
-    legend.get_by_text("front, computed for the file’s question").wait_for()
-    assert legend.get_by_text("knee, computed for the file’s question").count() == 1
-    assert page.locator("#command").input_value().startswith("plough-opt tradeoff 'draft_against_loosening.toml'")
-
-
 def test_a_link_opens_the_same_design(walk, opened, written):
     walk.evaluate("ploughOpt.set({ 'scene.tow_speed': 2.5, 'share.height': 0.3 })")
     settled(walk)
@@ -283,19 +245,6 @@ def test_without_scripts_the_report_is_readable(browser, written):
     assert "Best design" in page.locator("#answer").inner_text()
     assert not page.locator("#explore").is_visible()
     context.close()
-
-
-def test_a_file_without_variables_has_controls_and_no_landscape(opened, tmp_path):
-    file = tmp_path / "still.toml"
-    fixed = STATIC.partition("[variables]")[0].replace("[scene]", 'height = "0.25 m"\n[scene]')
-    file.write_text(fixed, encoding="utf-8")
-    page = opened(po.explore(file, tmp_path / "still.html"))
-    page.get_by_label("cohesion in kPa").fill("30")
-    settled(page)
-    run = po.read_problem(file).simulate({"soil.cohesion": 3e4})
-    assert cell(page, "mean draft") == f"{run.mean_draft / 1e3:.4g} kN"
-    assert not page.locator("#now_cloud").is_visible()
-    assert page.locator("#command").input_value().endswith("""simulate 'still.toml' --set 'soil.cohesion="30 kPa"'""")
 
 
 def test_the_command_opens_the_page_in_the_cache_folder(tmp_path, monkeypatch):

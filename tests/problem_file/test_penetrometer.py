@@ -31,7 +31,6 @@ MEANS = [
 
 
 NAME = 'name = "serozem"'
-OWN = "soil={density='1350 kg/m^3', density_ratio=0.794, friction_angle='28 deg', tool_friction=0.5, adjust='cohesion'}"
 
 
 @pytest.fixture
@@ -80,12 +79,6 @@ def test_a_file_takes_the_level_from_it(write):
     assert po.cone_index(adjusted) == pytest.approx(np.mean(MEANS), rel=1e-12)
     other = po.read_problem(write(), ['soil.cone_index="2 MPa"']).scene().soil
     assert po.cone_index(other) == pytest.approx(2e6, rel=1e-14)
-
-
-def test_a_cone_index_takes_the_place_of_a_property(read):
-    soil = read(COTTON, OWN, "soil.cone_index=900 kPa").scene().soil
-    expected = po.Soil.from_cone_index(9e5, soil=po.named_soil("serozem"), adjust="cohesion")
-    assert soil.cohesion == pytest.approx(expected.cohesion, rel=1e-15)
 
 
 def test_the_insertions_spread_makes_the_design_robust(write):
@@ -160,26 +153,6 @@ def test_draft_owes_nothing_to_a_cohesion_beneath_it(read):
     reading = best.sensitivity("soil.cone_index")
     assert reading.objective == pytest.approx(run.scene.reaction.static / 1e3 / 1.5e6, rel=1e-6)
     assert abs(best.sensitivity("soil.cohesion").objective * 2e4) < 1e-6 * best.objective
-
-
-COHESION = '"soil.cohesion" = { distribution = "uniform", lower = "1 kPa", upper = "9 kPa" }'
-FACTOR = '"soil.strength_factor" = { distribution = "uniform", lower = 1.0, upper = 2.0 }'
-READING = '"soil.cone_index" = { distribution = "uniform", lower = "1 MPa", upper = "2 MPa" }'
-
-
-DECIDED = [
-    ("cohesion", COHESION, "'soil.cohesion' follows from the cone index in every sample: make soil.cone_index"),
-    ("strength factor", FACTOR, "'soil.strength_factor' follows from the cone index"),
-    ("cohesion", READING, 'only with adjust = "strength factor"'),
-    ("strength factor", f"{COHESION}\n{READING}", "cannot both be uncertain"),
-]
-
-
-@pytest.mark.parametrize(("adjust", "entries", "words"), DECIDED)
-def test_what_the_reading_decides_is_not_uncertain_by_itself(refusal, adjust, entries, words):
-    said = refusal(adjusting(adjust) + f"[uncertain]\n{entries}\n")
-    assert words in said
-    assert ", line " in said
 
 
 # --- a compression test in a problem file: b1 follows the ambient pressure, however that is changed ---

@@ -131,18 +131,6 @@ def test_semicolon_files_may_have_decimal_commas(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "heading",
-    ["depth_cm|Cone Index [kPa]|cone-index_kPa", "Depth (cm)|CONE_INDEX (kPa)|cone index_kPa"],
-)  # fmt: skip
-def test_columns_are_recognised_however_they_are_spelt(tmp_path, heading):
-    plain = po.read_penetrometer(
-        written(tmp_path, "depth [cm]|cone_index [kPa]|cone_index [kPa]", ",", "."), (0.0, 0.5)
-    )
-    found = po.read_penetrometer(written(tmp_path, heading, ",", "."), (0.0, 0.5))
-    assert found.insertions.tolist() == plain.insertions.tolist()
-
-
-@pytest.mark.parametrize(
     ("key", "full"),
     [("tow_speed", "scene.tow_speed"), ("speed", "scene.tow_speed"), ("stiffness", "scene.stiffness"),
      ("hight", "share.height"), ("cohesion", "soil.cohesion")],

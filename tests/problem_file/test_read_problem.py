@@ -1,14 +1,12 @@
 """What problem files become: scenes, designs, and designs from catalogues."""
 
 import itertools
-import json
 import math
 import tomllib
 
 import jsonschema
 import numpy as np
 import pytest
-from helpers.commands import call, cells, printed
 from helpers.problem_files import COTTON, PROBLEMS, STATIC, changed, refused_files
 
 import plough_opt as po
@@ -134,21 +132,6 @@ def test_an_orbit_of_a_file_is_that_of_the_effects(read):
     assert np.array_equal(run.mount_force, po.simulate(problem.scene()).mount_force)
 
 
-VARIED = [
-    ("effects.strength_wave.amplitude", "amplitude = 0.3, ", ("0.1", "0.5"),
-     lambda scene: scene.effects.strength_wave.amplitude / 0.3),
-    ("scene.duration", 'duration = "2 s"\n', ("1 s", "3 s"), lambda _: 1.0),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("key", "fixed", "ends", "value"), VARIED)
-def test_any_quantity_may_be_a_variable(read, key, fixed, ends, value):
-    added = f"[variables]\n'{key}' = {{ lower = '{ends[0]}', upper = '{ends[1]}' }}"
-    problem = read(changed(("[variables]", added), (fixed, "")))
-    assert key in problem.variables
-    assert value(problem.scene()) == pytest.approx(1.0, rel=1e-12)
-
-
 def test_comments_blank_lines_windows_line_ends_and_a_byte_order_mark_mean_nothing(read, tmp_path):
     text = "# a comment\n\n" + COTTON.replace("\n", "  # said\n\n")
     path = tmp_path / "windows.toml"
@@ -265,44 +248,6 @@ def test_steps_and_catalogues_go_together(read, cheapest, tmp_path):
     again = po.load(best.save(tmp_path / "best.json"))
     assert str(again) == str(best)
     assert again.bought.variables == best.bought.variables
-
-
-def test_commands_print_and_save_it(tmp_path):
-    path = tmp_path / "share.toml"
-    path.write_text(offering(', step = "2 cm"'), encoding="utf-8")
-    saved = json.loads(printed("optimise", path, "--json"))
-    height = saved["bought"]["variables"]["share.height"]
-    assert cells(printed("optimise", path).partition("best from the catalogue")[2], "share.height")[1:] == [
-        f"{height:.5g} m", "catalogue",
-    ]  # fmt: skip
-    printed("explore", path, "-o", tmp_path / "a.html")
-    page = (tmp_path / "a.html").read_text(encoding="utf-8")
-    shown = f"{height:.5g}\N{NO-BREAK SPACE}m"
-    assert f"From the catalogue: share height {shown} (objective +" in page
-    table = tmp_path / "a.csv"
-    heading = next(line for line in printed("optimise", path, "--csv", table).splitlines() if "Best design" in line)
-    assert f"; from the catalogue {saved['bought']['objective']:.6g} (+" in heading
-    assert heading.endswith(f"with share.height {height:.4g} m")
-    assert table.read_text().splitlines()[-1] == f"from the catalogue,{saved['bought']['objective']!r},{height!r}"
-    for at, size in (("catalogue", height), ("best", saved["variables"]["share.height"])):
-        said = printed("export", path, "--to", "stl", "--at", at, "-o", tmp_path / f"{at}.stl")
-        assert f"height {1e3 * size:.4g} mm" in said
-    assert printed("export", path, "--to", "stl", "-o", tmp_path / "usual.stl").startswith(
-        "Share of the best design from"
-    )
-
-
-def test_a_catalogue_in_which_nothing_will_do_leaves_the_best_with_a_warning(tmp_path):
-    path = tmp_path / "share.toml"
-    path.write_text(offering(', catalogue = ["0.11 m", "0.12 m"]'), encoding="utf-8")
-    done = call("optimise", path)
-    assert done.status == 0
-    assert "nothing in the catalogue" in done.out
-    assert "loosened_radius" in done.out.partition("nothing in the catalogue")[2]
-    done = call("export", path, "--to", "stl", "-o", tmp_path / "a.stl")
-    assert (done.status, "--at best" in done.said) == (1, True)
-    path.write_text(STATIC, encoding="utf-8")
-    assert "no variable" in call("export", path, "--to", "stl", "--at", "catalogue", "-o", tmp_path / "a.stl").said
 
 
 @pytest.mark.parametrize(("more", "pieces"), [(more, pieces) for more, *pieces in refused_files()["catalogues"]])

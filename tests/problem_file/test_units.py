@@ -9,7 +9,7 @@ import hypothesis.strategies as st
 import jsonschema
 import pytest
 from helpers.commands import printed
-from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER, changed, refused_files
+from helpers.problem_files import COTTON, PROBLEMS, changed, refused_files
 from helpers.refusals import refusals
 from helpers.scenes import SEROZEM, Shank, scene_of
 from hypothesis import given, settings
@@ -221,13 +221,3 @@ test_what_a_file_cannot_say_is_named = refusals(
     (lambda: said(soil=SEROZEM.with_density_profile(lambda r: 1000.0 + r)), "scene.soil.density_profile"),
     (lambda: said(own=(Shank(),)), "Shank"),
 )
-
-
-def test_symbols_and_durations_are_refused(tmp_path):
-    height = po.Design().variable("height", guess=0.25, lower=0.1, upper=0.5, unit="m")
-    with pytest.raises(InputError, match="holds symbols"):
-        po.explore(scene_of(share=po.Wedge(0.5, 0.3, height)), tmp_path / "page.html", duration=1.0)
-    with pytest.raises(InputError, match="'duration' is missing"):
-        po.explore(scene_of(), tmp_path / "page.html")
-    with pytest.raises(InputError, match="only a scene needs a duration"):
-        po.explore(SUBSOILER, tmp_path / "page.html", duration=1.0)

@@ -15,7 +15,6 @@ from helpers.problem_files import PROBLEMS, SUBSOILER, changed
 from PIL import Image
 
 import plough_opt as po
-from plough_opt.app.page import page, reported
 
 # Two variables fewer than the file has, so that the search is short.
 FIXED = ("share.wedge_angle=39 deg", "share.height=0.26 m")
@@ -109,16 +108,6 @@ def test_no_text_leaves_its_place_and_nothing_is_asked_of_a_network(written):
     assert policy.startswith("default-src 'none'")
     # A text in the place of each picture.
     assert all(attributes["aria-label"] for tag, attributes in found.tags if tag in ("figure", "canvas"))
-
-
-def test_a_share_without_variables_that_does_not_move_has_no_empty_pictures():
-    fixed = (*FIXED, "scene.stiffness=50 kN/m", "effects={motion=false}", "require={}")
-    text = page(reported(po.read_problem(SUBSOILER, fixed), lambda *_: None))
-    found = Page(text)
-    assert "Nothing changes over time" in found.text["response"]
-    assert data_of(text)["charts"] == []
-    assert "This share needs a mean draft of" in found.text["answer"]
-    assert "design" not in found.text
 
 
 @pytest.fixture(scope="module")

@@ -25,9 +25,9 @@ _PHI = (_LOOSE ** (_NU / 2.0) - 1.0) / _NU
 _RATE = _PHI / RATIO + _LOOSE ** (_NU / 2.0) + (1.0 - _LOOSE ** (_NU / 2.0 - 1.0)) / (RATIO * (_NU - 2.0))
 
 
-def equation(angle, height, stiffness, m=np, cohesion=COHESION):
+def equation(angle, height, stiffness, m=np):
     """Return F0, Fd, M, k and z0 of the equation of motion, by NumPy or a module with the same functions."""
-    strength = _PHI * (_NU * AMBIENT + 2.0 * cohesion * math.cos(FRICTION) / (1.0 + _MU))
+    strength = _PHI * (_NU * AMBIENT + 2.0 * COHESION * math.cos(FRICTION) / (1.0 + _MU))
     slope = _slope(angle, m)
     face = math.pi * height**2 * slope * (slope + TOOL)
     static, drag = face * strength, face * slope**2 * _RATE * DENSITY

@@ -1,15 +1,10 @@
-"""SciPy's SLSQP with finite differences, on R1 and on five shares, with any simulation."""
-
-import math
+"""SciPy's SLSQP with finite differences, on R1, with any simulation."""
 
 import numpy as np
 from peers import r1
 from scipy.optimize import minimize
 
 _CONVERGED = 1e-11
-# Five shares across a field whose cohesion grows: ten variables, coupled by the mean loosened radius.
-COHESIONS = tuple(r1.COHESION * (0.8 + 0.1 * k) for k in range(5))
-STIFFNESS, MEAN_RADIUS = 5e4, 0.12
 
 
 def minimised(values, start):
@@ -71,26 +66,3 @@ def local(averages, start=r1.START):
 def best(averages):
     """Return the best of all starts of R1."""
     return min((local(averages, start) for start in r1.STARTS), key=lambda found: found[1])
-
-
-def five_requirements(angles, heights, means):
-    """Return the margins of five shares: mean loosened radius, deflections and half angles."""
-    parts = np.array([r1.requirements(*x, STIFFNESS, mean) for *x, mean in zip(angles, heights, means, strict=True)])
-    radii, deflections, half_angles = parts.T
-    return [np.mean(radii), *deflections, *half_angles]
-
-
-def five_shares(averages):
-    """Return (angles and heights, objective) of five shares."""
-    low, high, start = (np.repeat(x[:2], len(COHESIONS)) for x in (r1.LOWER, r1.UPPER, r1.START))
-
-    def values(y):
-        angles, heights = np.split(low + y * (high - low), 2)
-        pairs = []
-        for angle, height, cohesion in zip(angles, heights, COHESIONS, strict=True):
-            p = r1.equation(float(angle), float(height), STIFFNESS, math, cohesion)
-            pairs.append(averages(*(float(x) for x in p)))
-        return [sum(map(sum, pairs)) / 1e3, *five_requirements(angles, heights, [mean for mean, _ in pairs])]
-
-    found, objective = minimised(values, (start - low) / (high - low))
-    return low + found * (high - low), objective

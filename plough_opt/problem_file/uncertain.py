@@ -6,12 +6,13 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from plough_opt.core.checks import check_named
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, about
 from plough_opt.core.expressions import Expression, as_number
 from plough_opt.core.quantities import quantities
 from plough_opt.laws.forces import cone_index
@@ -65,11 +66,10 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
     if table.uncertain is None:
         return
     properties = [key for key in quantities() if key.startswith("soil.")]
-    for key, entry in table.uncertain.soil.items():
+    for key in table.uncertain.soil:
         with source.noting((TABLE, key)):
             check_named("{} cannot be uncertain", key, [*properties, *type(table.uncertain).model_fields])
             _check_property(table, key)
-            _distribution(source, key, entry)
     with source.noting((TABLE, "correlation")):
         for *names, _ in table.uncertain.correlation:
             for name in names:
@@ -128,56 +128,15 @@ def _check_property(table: ProblemTable, key: str) -> None:
                 raise InputError(f"the cone index depends on '{other}': the two cannot both be uncertain: remove one")
 
 
-def _distribution(source: Source, key: str, entry: DistributionTable) -> tuple[Any, tuple[float, float]]:
-    """Return a frozen distribution of scipy.stats and its bounds, SI.
-
-    Raises:
-        InputError: the parameters are invalid for this kind of distribution.
-    """
-    from scipy import stats  # slow to import, and rarely needed
-
-    kind, unit = entry.distribution, quantities()[key]
-    written = entry.model_dump(exclude_none=True, exclude={"distribution"})
-    if missing := [name for name in _KINDS[kind] if name not in written]:
-        raise InputError(f"'{key}': a {kind} distribution needs {' and '.join(missing)}")
-    if odd := [name for name in written if name not in (*_KINDS[kind], "lower", "upper")]:
-        raise source.error((TABLE, key, odd[0]), f"'{key}.{odd[0]}' is not a key of a {kind} distribution: remove it")
-    si = {name: source.parsed((TABLE, key, name), unit, text, f"'{key}' {name}") for name, text in written.items()}
-    mean, std = si.get("mean", math.nan), si.get("std", math.nan)
-    lower, upper = bounds = si.get("lower", -math.inf), si.get("upper", math.inf)
-    for wrong, why in (
-        (std <= 0.0, "std must be above 0: give a value without spread in [soil]"),
-        (lower >= upper, "lower must be below upper"),
-        (kind == "lognormal" and mean <= 0.0, "the mean of a lognormal distribution must be above 0"),
-        (kind == "triangular" and not lower <= si.get("mode", lower) <= upper, "mode must lie between lower and upper"),
-    ):
-        if wrong:
-            raise InputError(f"'{key}': {why}")
-    if kind == "normal":
-        return stats.norm(mean, std), bounds
-    if kind == "lognormal":
-        return lognormal(mean, std), bounds
-    if kind == "uniform":
-        return stats.uniform(lower, upper - lower), bounds
-    if kind == "triangular":
-        return stats.triang((si["mode"] - lower) / (upper - lower), lower, upper - lower), bounds
-    middle, relative = (mean - lower) / (upper - lower), (std / (upper - lower)) ** 2
-    size = middle * (1.0 - middle) / relative - 1.0
-    if not (0.0 < middle < 1.0 and size > 0.0):
-        raise InputError(f"'{key}': a beta distribution between these bounds cannot have this mean and std: lower std")
-    return stats.beta(middle * size, (1.0 - middle) * size, lower, upper - lower), bounds
-
-
 def check_joint(source: Source, table: ProblemTable, soil: Callable[[], Soil]) -> None:
     """Note every distribution that the model refuses, with its line; the rest of the file must be valid."""
-    if table.uncertain is None:
-        return
-    for key, entry in table.uncertain.soil.items():
-        with source.noting((TABLE, key)):
-            distribution_of(UncertainTable.model_validate({key: entry}), soil())
-    source.raise_noted()
-    with source.noting((TABLE, "correlation")):
-        distribution_of(table.uncertain, soil())
+    if table.uncertain is not None:
+        for key, entry in table.uncertain.soil.items():
+            with source.noting((TABLE, key)):
+                distribution_of(UncertainTable.model_validate({key: entry}), soil())
+        source.raise_noted()
+        with source.noting((TABLE, "correlation")):
+            distribution_of(table.uncertain, soil())
 
 
 def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
@@ -192,29 +151,59 @@ def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
     made, within = dict[str, Any](), dict[str, tuple[float, float]]()
     names = {key: key.removeprefix("soil.") for key in table.soil}
     for key, name in names.items():
-        made[name], within[name] = _distribution(Source("", TABLE), key, table.soil[key])
+        made[name], within[name] = _distribution(key, table.soil[key])
     if _READING in names:
         per = float(as_number(soil.strength_factor / cone_index(soil)))
         names[_READING], reading = "strength_factor", made.pop("cone_index")
         low, high = within.pop("cone_index")
-        made["strength_factor"], within["strength_factor"] = _Scaled(reading, per), (per * low, per * high)
+        within["strength_factor"] = per * low, per * high
+        made["strength_factor"] = SimpleNamespace(
+            cdf=lambda x: reading.cdf(x / per), ppf=lambda p: per * reading.ppf(p)
+        )
     pairs = {(names[str(a)], names[str(b)]): float(value) for a, b, value in table.correlation}
     return SoilDistribution(soil, within=within, correlation=pairs, **made)
 
 
-class _Scaled:
-    """A distribution of scipy.stats times a factor."""
+def _distribution(key: str, entry: DistributionTable) -> tuple[Any, tuple[float, float]]:
+    """Return a frozen distribution of scipy.stats and its bounds, SI.
 
-    def __init__(self, distribution: Any, factor: float) -> None:
-        self._own, self._factor = distribution, factor
+    Raises:
+        InputError: the parameters are invalid for this kind of distribution.
+    """
+    from scipy import stats  # slow to import, and rarely needed
 
-    def cdf(self, value: Any) -> Any:
-        """Return the probability of lying below a value."""
-        return self._own.cdf(value / self._factor)
-
-    def ppf(self, probability: Any) -> Any:
-        """Return the quantiles."""
-        return self._factor * self._own.ppf(probability)
+    kind, si = entry.distribution, dict[str, float]()
+    written = entry.model_dump(exclude_none=True, exclude={"distribution"})
+    if missing := [name for name in _KINDS[kind] if name not in written]:
+        raise InputError(f"'{key}': a {kind} distribution needs {' and '.join(missing)}")
+    if odd := [name for name in written if name not in (*_KINDS[kind], "lower", "upper")]:
+        raise InputError(f"'{key}.{odd[0]}' is not a key of a {kind} distribution: remove it")
+    for name, text in written.items():
+        with about(f"'{key}' {name}"):
+            si[name] = quantities()[key].parse(text)
+    mean, std = si.get("mean", math.nan), si.get("std", math.nan)
+    lower, upper = si.get("lower", -math.inf), si.get("upper", math.inf)
+    width, mode = upper - lower, si.get("mode", lower)
+    # Mean and variance of a beta distribution between 0 and 1, and the sum of its two shapes.
+    middle, variance = ((mean - lower) / width, (std / width) ** 2) if kind == "beta" and width > 0.0 else (0.5, 0.1)
+    size = middle * (1.0 - middle) / variance - 1.0
+    for wrong, why in (
+        (std <= 0.0, "std must be above 0: give a value without spread in [soil]"),
+        (width <= 0.0, "lower must be below upper"),
+        (kind == "lognormal" and mean <= 0.0, "the mean of a lognormal distribution must be above 0"),
+        (not lower <= mode <= upper, "mode must lie between lower and upper"),
+        (not size > 0.0, "a beta distribution between these bounds cannot have this mean and std: lower std"),
+    ):
+        if wrong:
+            raise InputError(f"'{key}': {why}")
+    made: dict[str, Callable[[], Any]] = {
+        "normal": lambda: stats.norm(mean, std),
+        "lognormal": lambda: lognormal(mean, std),
+        "uniform": lambda: stats.uniform(lower, width),
+        "triangular": lambda: stats.triang((mode - lower) / width, lower, width),
+        "beta": lambda: stats.beta(middle * size, (1.0 - middle) * size, lower, width),
+    }
+    return made[kind](), (lower, upper)
 
 
 def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
@@ -277,29 +266,28 @@ def robust_design(problem: Problem, field: SoilDistribution, start: Mapping[str,
         names = {**table.minimise, **table.require}
         return {name: MEASURES[name].of(run) for name in names if not MEASURES[name].everywhere}
 
-    robust = Robust(field, response, samples=uncertain.samples, seed=uncertain.seed)
+    def measured(name: str, measure: str) -> Expression:
+        kappa = measure_of(measure)
+        return MEASURES[name].of(nominal) if kappa is None else robust.mean_plus(name, kappa)
+
+    robust, nominal = Robust(field, response, samples=uncertain.samples, seed=uncertain.seed), run_in({})
     # What does not depend on the soil is limited once, and not once for each soil.
     varying = {name for name, own in robust.values(start).items() if np.ptp(own) > 1e-9 * np.max(np.abs(own))}
-    nominal = run_in({})
     objective: Expression = 0.0
     for name, term in table.minimise.items():
-        kappa = measure_of(term.measure or "expected")
-        value = MEASURES[name].of(nominal) if kappa is None else robust.mean_plus(name, kappa)
-        objective = objective + value / MEASURES[name].unit.parse(term.per)
+        objective = objective + measured(name, term.measure or "expected") / MEASURES[name].unit.parse(term.per)
     design.minimise(objective)
     for name, limit in table.require.items():
-        low, high = limit.ends(MEASURES[name].unit)
-        own: dict[str, Any] = {
+        unit = MEASURES[name].unit
+        low, high = limit.ends(unit)
+        ends: dict[str, Any] = {
             "at_least": low,
             "at_most": high,
-            "unit": MEASURES[name].unit.symbol,
+            "unit": unit.symbol,
             "display": problem.displays[name],
         }
-        kappa = None if name not in varying or limit.measure is None else measure_of(limit.measure)
         if name in varying and limit.measure is None:
-            part = 1.0 if limit.probability is None else limit.probability
-            robust.require_probability(design, name, name, part, **own)
+            robust.require_probability(design, name, name, limit.probability or 1.0, **ends)
         else:
-            value = MEASURES[name].of(nominal) if kappa is None else robust.mean_plus(name, kappa)
-            design.require(name, value, **own)
+            design.require(name, measured(name, (name in varying and limit.measure) or "nominal"), **ends)
     return design, robust

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -92,8 +92,7 @@ class SoilDistribution:
         self._quantiles: dict[str, Callable[[Array], Array]] = {}
         for name, distribution in properties.items():
             check_named("{} is not a property of a soil", name, PROPERTIES)
-            self._quantiles[name] = _truncated(name, distribution, *ends[name])
-            _check_domain(soil, name, self._quantiles[name])
+            self._quantiles[name] = _truncated(soil, name, distribution, ends[name])
 
     def __repr__(self) -> str:
         """Return mean and standard deviation of every property, SI."""
@@ -156,47 +155,39 @@ class SoilDistribution:
         return np.stack([own(column) for own, column in zip(self._quantiles.values(), ranks.T, strict=True)], axis=1)
 
 
-def _truncated(name: str, distribution: Any, lower: float, upper: float) -> Callable[[Array], Array]:
-    """Return the quantiles of a distribution of scipy.stats between bounds, or raise InputError if it has none."""
+def _truncated(soil: Soil, name: str, distribution: Any, bounds: tuple[float, float]) -> Callable[[Array], Array]:
+    """Return the quantiles of a distribution of scipy.stats between bounds.
+
+    Raises:
+        InputError: it has none, or none between the bounds.
+        DomainError: it extends outside the model's domain.
+    """
     inverse = getattr(distribution, "ppf", None) or getattr(distribution, "icdf", None)
     if inverse is None or not callable(getattr(distribution, "cdf", None)):
-        raise InputError(
-            f"{name}: {shown(distribution)} is not a distribution: give a frozen one of scipy.stats, such as"
-            " stats.lognorm(0.3, scale=20e3)"
-        )
-    with np.errstate(invalid="ignore"):
-        median = float(inverse(0.5))
-    if not math.isfinite(median):
-        raise InputError(
-            f"{name}: its distribution has no median, which happens with parameters such as a scale of 0; set a"
-            " property that is not uncertain in the soil itself"
-        )
-    below, beneath = (float(distribution.cdf(end)) for end in (lower, upper))
-    if not beneath - below > _TAIL:
-        raise InputError(
-            f"{name}: the probability between its bounds {lower:g} and {upper:g} is {beneath - below:.1g}; the median"
-            f" is {median:g}: set bounds around it"
-        )
-    return partial(_quantile, inverse, (below, beneath), (lower, upper))
-
-
-def _quantile(inverse: Any, part: tuple[float, float], bounds: tuple[float, float], probability: Array) -> Array:
-    return np.asarray(np.clip(inverse(part[0] + probability * (part[1] - part[0])), *bounds), dtype=float)
-
-
-def _check_domain(soil: Soil, name: str, quantile: Callable[[Array], Array]) -> None:
-    """Raise DomainError if a distribution extends outside the model's domain."""
+        example = "give a frozen one of scipy.stats, such as stats.lognorm(0.3, scale=20e3)"
+        raise InputError(f"{name}: {shown(distribution)} is not a distribution: {example}")
     if is_casadi(getattr(soil, name)):
         raise InputError(f"'{name}' is an expression in the soil, so it cannot be uncertain too: give a number")
-    for end in (_TAIL, 1.0 - _TAIL):
-        value: Any = float(quantile(np.array(end)))
+    with np.errstate(invalid="ignore"):
+        median, (first, last) = float(inverse(0.5)), (float(distribution.cdf(end)) for end in bounds)
+    if not math.isfinite(median):
+        why = "which happens with parameters such as a scale of 0; set a property without spread in the soil itself"
+        raise InputError(f"{name}: its distribution has no median, {why}")
+    if not last - first > _TAIL:
+        between = f"the probability between its bounds {bounds[0]:g} and {bounds[1]:g} is {last - first:.1g}"
+        raise InputError(f"{name}: {between}; the median is {median:g}: set bounds around it")
+
+    def quantiles(probability: Array) -> Array:
+        return np.asarray(np.clip(inverse(first + probability * (last - first)), *bounds), dtype=float)
+
+    for value in quantiles(np.array([_TAIL, 1.0 - _TAIL])).tolist():
         try:
             replace(soil, **{name: value})
         except DomainError as error:
-            raise DomainError(
-                f"the distribution of {name} reaches {value:.4g}, outside the model's domain: {error}; truncate it:"
-                f' within={{"{name}": (lower, upper)}}, in a file lower = ... and upper = ...'
-            ) from None
+            how = f'truncate it: within={{"{name}": (lower, upper)}}, in a file lower = ... and upper = ...'
+            reaches = f"the distribution of {name} reaches {value:.4g}, outside the model's domain"
+            raise DomainError(f"{reaches}: {error}; {how}") from None
+    return quantiles
 
 
 def _cholesky(names: tuple[str, ...], correlation: Mapping[tuple[str, str], float]) -> Array:
@@ -216,6 +207,5 @@ def _cholesky(names: tuple[str, ...], correlation: Mapping[tuple[str, str], floa
         return np.asarray(np.linalg.cholesky(matrix))
     except np.linalg.LinAlgError:
         pairs = ", ".join(f"{a} and {b} {value:g}" for (a, b), value in correlation.items())
-        raise InputError(
-            f"these correlations contradict each other ({pairs}): their matrix is not positive definite; weaken one"
-        ) from None
+        contradict = f"these correlations contradict each other ({pairs})"
+        raise InputError(f"{contradict}: their matrix is not positive definite; weaken one") from None

@@ -73,15 +73,14 @@ class RobustOptimum(Saveable):
         doubtful = [f"{own.result} ({own.text}: {own.verdict})" for own in self.fresh.checks if not own.confirmed]
         verdict = f"do not confirm {', '.join(doubtful)}" if doubtful else "confirm every measure"
         parts += [self._checks(), f"In the robust design fresh soils {verdict}."]
-        failed = self.fresh.failures
-        footer = (
-            f"{self.samples} soils in one program; gap of the robust objective to a tight integration"
-            f" {self.best.gap:.0e}; {self.best.seconds:.1f} s, nominal {self.nominal.seconds:.1f} s, verified in"
-            f" {self.fresh.seconds:.1f} s"
+        gap = f"{self.samples} soils in one program; gap of the robust objective to a tight run {self.best.gap:.0e}"
+        times = (
+            f"{name} {own.seconds:.1f} s" for name, own in (("nominal", self.nominal), ("verified in", self.fresh))
         )
-        notes = (*self.best.warnings, *([f"{failed} fresh soils have no result and are left out"] if failed else []))
+        failed = [f"{self.fresh.failures} fresh soils have no result and are left out"] * (self.fresh.failures > 0)
         heading = f"Robust design: objective {self.best.objective:.{OBJECTIVE_DIGITS}g} ({self.best.status})"
-        return Page(heading, tuple(parts), notes, footer, self.origin.title)
+        footer = f"{gap}; {self.best.seconds:.1f} s, {', '.join(times)}"
+        return Page(heading, tuple(parts), (*self.best.warnings, *failed), footer, self.origin.title)
 
     def _checks(self) -> Grid:
         """Return a table of the checks on fresh soils, beside those of the nominal design."""
@@ -126,22 +125,19 @@ class RobustOptimum(Saveable):
         beside = f" {display.symbol}".rstrip()
         ends = self.origin.limits.get(name, (None, None))
         limits = [end / display.factor for end in ends if end is not None]
-        low, high = (s * np.inf if end is None else end for s, end in zip((-1.0, 1.0), ends, strict=True))
+        low, high = (s * np.inf if end is None else end / display.factor for s, end in zip((-1, 1), ends, strict=True))
         designs = {"nominal design": self.nominal_fresh, "robust design": self.fresh}
-        everything = np.concatenate([own.values[name] for own in designs.values()]) / display.factor
-        first, last = np.quantile(everything, [_CUT_OFF, 1.0 - _CUT_OFF])
+        values = {design: own.values[name] / display.factor for design, own in designs.items()}
+        first, last = np.quantile(np.concatenate([*values.values()]), [_CUT_OFF, 1.0 - _CUT_OFF])
         first, last = min([first, *limits]), max([last, *limits])
         room = 0.04 * (last - first) or 0.5 * abs(last) or 1.0
         bins = np.linspace(first - room, last + room, _BINS + 1).tolist()
-        for (design, verification), colour in zip(designs.items(), COLOURS, strict=False):
-            values = verification.values[name]
-            inside = f", {100.0 * np.mean((values >= low) & (values <= high)):.1f} % within the limit" if limits else ""
-            shown = values / display.factor
-            label = f"{design}: mean {np.mean(shown):.4g}{beside}{inside}"
-            axes.hist(
-                shown, bins, weights=np.full(len(shown), 100.0 / len(shown)), color=colour, alpha=0.45, label=label
-            )
-            axes.axvline(float(np.mean(shown)), color=colour, linestyle="--", linewidth=1.2)
+        for (design, own), colour in zip(values.items(), COLOURS, strict=False):
+            part = 100.0 * np.mean((own >= low) & (own <= high))
+            label = f"{design}: mean {np.mean(own):.4g}{beside}{f', {part:.1f} % within the limit' if limits else ''}"
+            weights = np.full(len(own), 100.0 / len(own))
+            axes.hist(own, bins, weights=weights, color=colour, alpha=0.45, label=label)
+            axes.axvline(float(np.mean(own)), color=colour, linestyle="--", linewidth=1.2)
         for limit in limits:
             axes.axvline(limit, color="black", linewidth=1.4, label=f"limit {limit:.4g}{beside}")
         axes.set(xlabel=display.heading(called(name)), ylabel="soils [%]")

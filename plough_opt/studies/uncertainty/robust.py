@@ -175,7 +175,8 @@ class Robust:
             True
         """
         values, kappa = self[name], plain_number("kappa", kappa)
-        self.requested.append(Requested(name, kappa))
+        side = f" {'+' if kappa > 0.0 else '-'} {abs(kappa):.4g} standard deviations" if kappa else ""
+        self.requested.append(Requested(name, f"mean{side}", kappa))
         measure: Expression = _mean_plus(values, kappa)
         return measure
 
@@ -233,7 +234,11 @@ class Robust:
             kappa = float(stats.norm.ppf(part))
             values = _mean_plus(values, -kappa if high is None else kappa)
         design.require(requirement, values, at_least=low, at_most=high, unit=unit, display=display)
-        self.requested.append(Requested(name, 0.0, part, low, high, unit))
+        shown_ends = (
+            f"at {side} {in_words(end, unit)}" for side, end in (("least", low), ("most", high)) if end is not None
+        )
+        limits = -math.inf if low is None else low, math.inf if high is None else high
+        self.requested.append(Requested(name, f"probability of {' and '.join(shown_ends)}", 0.0, part, limits))
 
     def values(self, at: Optimum | Mapping[str, float], properties: Array | None = None) -> dict[str, Array]:
         """Return name -> values of each result over soils at a design; NaN in soils that have none.
@@ -318,34 +323,23 @@ class Requested:
     """What a design uses of a result: mean + kappa standard deviations, or limits that hold with a probability."""
 
     result: str
-    kappa: float
+    text: str
+    kappa: float = 0.0
     probability: float | None = None
-    at_least: float | None = None
-    at_most: float | None = None
-    unit: str = ""
-
-    @property
-    def text(self) -> str:
-        """What is used, in words."""
-        if self.probability is None:
-            side = f" {'+' if self.kappa > 0.0 else '-'} {abs(self.kappa):.4g} standard deviations"
-            return f"mean{side if self.kappa else ''}"
-        ends = (("at least", self.at_least), ("at most", self.at_most))
-        limits = (f"{word} {in_words(end, self.unit)}" for word, end in ends if end is not None)
-        return f"probability of {' and '.join(limits)}"
+    limits: tuple[float, float] = (-math.inf, math.inf)
 
     def check(self, common: Array, fresh: Array) -> Check:
         """Return the check of values over the common soils by those over fresh ones."""
+        count = len(fresh)
         if self.probability is not None:
-            low, high = (s * math.inf if end is None else end for s, end in ((-1, self.at_least), (1, self.at_most)))
-            rounding = INSIDE * np.abs(fresh)
+            (low, high), rounding = self.limits, INSIDE * np.abs(fresh)
             inside = int(np.sum((fresh >= low - rounding) & (fresh <= high + rounding)))
-            ends = stats.binomtest(inside, len(fresh)).proportion_ci(CONFIDENCE)
-            return Check(self.result, self.text, self.probability, inside / len(fresh), ends.low, ends.high, True)
+            ends = stats.binomtest(inside, count).proportion_ci(CONFIDENCE)
+            return Check(self.result, self.text, self.probability, inside / count, ends.low, ends.high, True)
         value, off = float(_mean_plus(fresh, self.kappa)), fresh - np.mean(fresh)
         # How a soil's weight changes mean and standard deviation: the variance over n is that of the estimate.
         influence = off + self.kappa * off**2 / (2.0 * float(standard_deviation(fresh)))
-        half = float(stats.norm.ppf(0.5 + CONFIDENCE / 2.0) * np.std(influence)) / math.sqrt(len(fresh))
+        half = float(stats.norm.ppf(0.5 + CONFIDENCE / 2.0) * np.std(influence)) / math.sqrt(count)
         half += INSIDE * abs(value)
         return Check(self.result, self.text, float(_mean_plus(common, self.kappa)), value, value - half, value + half)
 
@@ -392,10 +386,8 @@ class Check:
     def __str__(self) -> str:
         """Return the check in a sentence."""
         interval = f"{100 * CONFIDENCE:.0f} %: {self.low:.6g} to {self.high:.6g}"
-        return printable(
-            f"{self.result}, {self.text}: wanted {self.wanted:.6g}, fresh soils give {self.fresh:.6g} ({interval}):"
-            f" {self.verdict}"
-        )
+        pair = f"wanted {self.wanted:.6g}, fresh soils give {self.fresh:.6g}"
+        return printable(f"{self.result}, {self.text}: {pair} ({interval}): {self.verdict}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -464,10 +456,8 @@ def verify(
     for where, values in (("its own soils", common), ("the fresh soils", fresh)):
         without = ~np.all(np.isfinite([*values.values()]), axis=0)
         if np.mean(without) > (_MOST_FAILURES if values is fresh else 0.0):
-            raise InputError(
-                f"at this design {np.sum(without)} of {len(without)} of {where} have no result: keep the design in the"
-                " model's domain, and truncate the distribution there"
-            )
+            lost = f"at this design {np.sum(without)} of {len(without)} of {where} have no result"
+            raise InputError(f"{lost}: keep the design in the model's domain, and truncate the distribution there")
     values = {name: column[~without] for name, column in fresh.items()}
     checks = tuple(dict.fromkeys(own.check(common[own.result], values[own.result]) for own in robust.requested))
     seconds = time.perf_counter() - started

@@ -31,20 +31,20 @@ def polished(program: Program, p: Vector, start: Vector, limit: TimeLimit | None
 
     Once the time is over, a start that meets the requirements is not tried again.
     """
-    accepted, as_found = acceptance(program, p, start), point_as_found(program, p, start)
+    accepted, as_found = acceptance(program, p, start), cache(lambda: point_as_found(program, p, start))
     for box, exact in ((1.0, False), (_SAME_BASIN, True), (_SAME_RIPPLE, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if point.status in _STALLED and point_as_found(program, p, point.y).solved:
             point = _stalled(program, p, point)
         if accepted(point):
             return point
-        if as_found.solved and limit is not None and limit.passed("further attempts to confirm an optimum"):
-            return as_found
+        if limit is not None and as_found().solved and limit.passed("further attempts to confirm an optimum"):
+            return as_found()
     point = program.solve(start, p)
     if accepted(point):
         return point
-    if as_found.solved or not program.declared.requirements:
-        return as_found
+    if as_found().solved or not program.declared.requirements:
+        return as_found()
     # The search's rough runs may just have met a limit that these runs violate.
     return point_as_found(program, p, program.solve_relaxed(start, p)[0].y)
 

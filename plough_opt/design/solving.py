@@ -19,7 +19,7 @@ from plough_opt.design.result.optimum import Search as SearchRecord
 from plough_opt.design.result.reporting import remarks, reports
 from plough_opt.design.result.sensitivity import Solved
 from plough_opt.design.search.descent import descend
-from plough_opt.design.search.effort import Search, TimeLimit, effort_of, searched
+from plough_opt.design.search.effort import Effort, Search, TimeLimit, effort_of, searched
 from plough_opt.design.search.explore import Explored, Progress, explore
 from plough_opt.design.search.feasible import feasible_designs, from_least_violation, nearest_feasible
 from plough_opt.design.search.landscape import Evaluations, Landscape, concatenated, only_falls
@@ -71,7 +71,9 @@ def solve_program(program: Program, request: Request) -> Optimum:
     program = program.at(p, any_guess=bool(vary))
     landscape = Landscape(program, p)
     if vary:
-        explored, program, points = _searched(landscape, vary, request)
+        effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
+        landscape, explored = _explored(landscape, vary, effort, request)
+        program, points = _searched(landscape, explored, 6 * effort.rounds, request)
     else:
         progress("solving from the guess", 0.0)
         explored = None
@@ -102,13 +104,27 @@ def solve_program(program: Program, request: Request) -> Optimum:
     )
 
 
-def _searched(landscape: Landscape, vary: tuple[int, ...], request: Request) -> tuple[Explored, Program, list[Point]]:
-    """Search over some variables; return the result, and the local optima that can be best with their program."""
-    program, p, limit = landscape.program, request.p, request.limit
+def _explored(
+    landscape: Landscape, vary: tuple[int, ...], effort: Effort, request: Request
+) -> tuple[Landscape, Explored]:
+    """Search over some variables; return the landscape with scales that hold around its best design, and the result."""
+    program, p, known = landscape.program, request.p, None
+    # A limit of 0 on exp(100 x) loses some four decades of its scale each time.
+    for _ in range(8):
+        explored = explore(landscape, program.start(), vary, effort, seed=request.seed, known=known,
+                           progress=request.progress, limit=request.limit)  # fmt: skip
+        known = explored.ends.points
+        local = program.with_scales_around(known[0], p) if len(known) else program
+        if local is program:
+            break
+        program, landscape = local, Landscape(local, p)
+    return landscape, explored
+
+
+def _searched(landscape: Landscape, explored: Explored, most: int, request: Request) -> tuple[Program, list[Point]]:
+    """Return the local optima that can be best, at most so many, with their program."""
+    program, p, limit, progress, seed = landscape.program, request.p, request.limit, request.progress, request.seed
     start, required = program.start(), bool(program.declared.requirements)
-    effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
-    seed, progress = request.seed, request.progress
-    explored = explore(landscape, start, vary, effort, seed=seed, progress=progress, limit=limit)
     ends, sample, points = explored.ends, explored.sample, list[Point]()
     if not len(ends.f):
         raise NotConverged(
@@ -117,7 +133,7 @@ def _searched(landscape: Landscape, vary: tuple[int, ...], request: Request) -> 
             "no value",
         )
     # The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
-    least_scale, most = 1e-4 * float(np.nanmedian(np.abs(sample.f))), 6 * effort.rounds
+    least_scale = 1e-4 * float(np.nanmedian(np.abs(sample.f)))
     if np.any(ends.feasible) or not required:
         program, points = _optima(landscape, ends, least_scale, most, request)
     if not points and required:
@@ -134,7 +150,7 @@ def _searched(landscape: Landscape, vary: tuple[int, ...], request: Request) -> 
             " thoroughly",
             "no optimum",
         )
-    return explored, program, points
+    return program, points
 
 
 def _optima(

@@ -82,8 +82,8 @@ def test_the_suites_are_whole():
     }  # fmt: skip
 
 
-# By default one of each kind that takes little time.
-@pytest.mark.parametrize("name", ["hs43", "hs71", "tension spring", "Branin"])
+# By default one of each kind that takes little time. In hs34 and hs66 a limit of 0 spans forty decades over the box.
+@pytest.mark.parametrize("name", ["hs34", "hs43", "hs66", "hs71", "tension spring", "Branin"])
 @pytest.mark.filterwarnings("ignore")
 def test_a_published_optimum_is_found(name):
     assert verdict(PROBLEMS[name]) is None

@@ -325,10 +325,36 @@ class Program:
             r.scale or (_power_of_four(size) if (size := float(np.max(np.abs(value)))) else 1.0)
             for r, value in zip(requirements, values[1:], strict=True)
         )
+        scaled = replace(self._with_scales(scales), _scaled_at=key)
+        return scaled.with_objective_scale(float(values[0].item()))
+
+    def with_scales_around(self, y: Vector, p: Vector) -> Program:
+        """Return the program with smaller scales of limits of 0 whose values near a design are far below those.
+
+        Only a limit of 0 has no size of its own. If its expression spans many decades, as exp(100 x) does, its value at
+        the guess says nothing about the size that matters at an optimum.
+
+        Args:
+            y: scaled design.
+            p: parameters.
+        """
+        sizeless = [k for k, r in enumerate(self.declared.requirements) if not r.scale]
+        if not sizeless:
+            return self
+        near, far_below = 0.01, 1e-3  # changes of a scaled variable, and of the size
+        moves = np.vstack([np.zeros(len(y)), np.eye(len(y)), -np.eye(len(y))])
+        _, g = self.population(np.clip(y + near * moves, 0.0, 1.0), p)
+        sizes = np.maximum.reduceat(np.max(np.where(np.isfinite(g), np.abs(g), np.inf), axis=0), self.first_rows)
+        smaller = {k: _power_of_four(sizes[k]) for k in sizeless if 0.0 < sizes[k] < far_below * self.scales[k]}
+        scales = tuple(smaller.get(k, scale) for k, scale in enumerate(self.scales))
+        return self._with_scales(scales) if smaller else self
+
+    def _with_scales(self, scales: tuple[float, ...]) -> Program:
+        """Return the program with its requirements scaled."""
+        requirements = self.declared.requirements
         low = np.array([requirements[k].low / scales[k] for k in self.owner])
         high = np.array([requirements[k].high / scales[k] for k in self.owner])
-        scaled = replace(self, scales=scales, low=low, high=high, _scaled_at=key, _built=None)
-        return scaled.with_objective_scale(float(values[0].item()))
+        return replace(self, scales=scales, low=low, high=high, _built=None)
 
     def with_objective_scale(self, objective: float) -> Program:
         """Return the program with its objective scaled by a value, such as one that a search found."""

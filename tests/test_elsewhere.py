@@ -56,7 +56,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("command", ["check", pytest.param("c", marks=pytest.mark.thorough), "fmu"])
+@pytest.mark.parametrize("command", ["check", *(pytest.param(one, marks=pytest.mark.thorough) for one in ("c", "fmu"))])
 def test_a_command_works_in_cp1252_in_a_folder_with_blanks_and_umlauts(run, command):
     printed = run(*COMMANDS[command])
     assert printed

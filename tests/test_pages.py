@@ -141,9 +141,10 @@ FULL = ("openmdao", "fmpy", "distributed")
 
 
 def cases():
-    """Yield each page briefly, every second one in make docs alone, and whole."""
+    """Yield each page briefly, every second one and those that start processes in make docs alone, and whole."""
     for number, name in enumerate(PAGES):
-        yield pytest.param(name, False, marks=[pytest.mark.site] * (number % 2), id=f"{name}-briefly")
+        later = number % 2 or PAGES[name].scripts
+        yield pytest.param(name, False, marks=[pytest.mark.site] if later else (), id=f"{name}-briefly")
         yield pytest.param(name, True, marks=pytest.mark.site if PAGES[name].least else pytest.mark.slow, id=name)
 
 

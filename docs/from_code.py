@@ -2,7 +2,6 @@
 
 import ast
 import inspect
-import itertools
 import math
 import os
 import re
@@ -132,12 +131,11 @@ def shown(default):
 
 
 def described():
-    """Return the descriptions that stand below the fields of the schema's tables, by table and key."""
+    """Return the descriptions in the docstrings of the schema's tables, by table and key."""
     found = {}
-    for table in ast.parse(inspect.getsource(schema)).body:
-        for field, below in itertools.pairwise(table.body if isinstance(table, ast.ClassDef) else ()):
-            if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
-                found[table.name.removesuffix("Table"), field.target.id] = ast.literal_eval(below.value)
+    for name, table in inspect.getmembers(schema, lambda member: member in schema.Table.__subclasses__()):
+        for key, meaning in re.findall(r"^    (\w+): (.+)$", inspect.getdoc(table) or "", flags=re.MULTILINE):
+            found[name.removesuffix("Table"), key] = meaning
     return found
 
 

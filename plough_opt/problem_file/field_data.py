@@ -1,6 +1,8 @@
 """Readings from CSV files: penetrometer profiles over depth, and records of strength along a path."""
 
 import math
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -10,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import LARGEST, LEAST, array_of, check_text, pair_of, path_of, plain_number, shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, about
 from plough_opt.core.files import exact_text
 from plough_opt.core.quantities import QUANTITIES
-from plough_opt.core.tables import check_rising, columns_of, raise_listed, readings_of, table_of
+from plough_opt.core.tables import check_rising, columns_of, readings_of, table_of
 from plough_opt.core.units import Unit
 from plough_opt.motion.effects import SpeedProfile
 from plough_opt.motion.effects.profile import profile_of
@@ -25,8 +27,6 @@ from plough_opt.studies.sweep.points import Range
 
 Vector = NDArray[np.float64]
 
-_DOWNWARDS = {"depth": Unit("m"), "cone_index": Unit("Pa"), "insertion": Unit("")}
-_ALONG = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa")}
 _INSERTIONS = "'insertion, depth [cm], cone_index [kPa]', or 'depth [cm], cone_index [kPa], cone_index [kPa]'"
 _COURSE = 'a table like { time = ["0 s", "4 s"], speed = ["0 km/h", "9 km/h"] }'
 _RECORD = "'position [m], cone_index [kPa]', or 'time [s], cone_index [kPa]'"
@@ -130,36 +130,49 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
         >>> po.read_penetrometer("problems/insertions.csv", (0.25, 0.45)).mean > 1e5
         True
     """
-    path = path_of("the file of readings", path)
     low, high = pair_of("depth", depth)
     plain_number("the shallowest depth", low, "m", at_least=0.0)
-    place, headings, rows = readings_of(path, _INSERTIONS)
-    columns = columns_of(place, headings, _DOWNWARDS)
+
+    def fit(count: Counter[str]) -> bool:
+        return count["depth"] == 1 <= count["cone_index"] and count["insertion"] * count["cone_index"] <= 1
+
+    lines, columns = _columns(path, {"depth": "m", "cone_index": "Pa", "insertion": ""}, fit, _INSERTIONS)
+    depths, indices = columns["depth"][:, 0], columns["cone_index"]
+    # An insertion is a column, or the rows with its number.
+    which = columns["insertion"][:, 0] if "insertion" in columns else np.zeros(len(depths))
+    means = []
+    for label, column in product(dict.fromkeys(which.tolist()), range(indices.shape[1])):
+        own = which == label
+        check_rising(Path(path), lines[own].tolist(), depths[own], "depths of an insertion")
+        with about(f"{path}, insertion {label if 'insertion' in columns else column + 1:g}:"):
+            means.append(_mean(depths[own], indices[own, column], low, high))
+    return Penetrometer(str(path), np.array(means))
+
+
+def _columns(
+    path: str | Path, units: Mapping[str, str], fit: Callable[[Counter[str]], bool], example: str
+) -> tuple[NDArray[np.int_], dict[str, Vector]]:
+    """Return the numbers of a CSV file's lines, and name -> values in SI, shape (lines, columns of this name).
+
+    Args:
+        path: the file.
+        units: name of each column that it may have -> SI unit.
+        fit: whether columns of these names, with their numbers, belong together.
+        example: of such columns, for messages.
+    """
+    path = path_of("the file of readings", path)
+    place, headings, rows = readings_of(path, example)
+    columns = columns_of(place, headings, {name: Unit(unit) for name, unit in units.items()})
     names = [name for name, _ in columns]
-    if names.count("depth") != 1 or "cone_index" not in names or names.count("insertion") > 1:
-        raise InputError(f"{place}: one column depth and at least one column cone_index are needed, as {_INSERTIONS}")
-    if "insertion" in names and names.count("cone_index") > 1:
-        raise InputError(f"{place}: a column insertion goes with a single column cone_index: remove one or the other")
+    if not fit(Counter(names)):
+        raise InputError(f"{place}: columns {', '.join(names)} are not what is needed: name them as {example}")
 
     def check(k: int, value: float, cell: str) -> None:
-        if value < 0.0 and columns[k][0] != "insertion":
+        if value < 0.0 and names[k] in ("depth", "cone_index"):
             raise InputError(f"{cell} must be at least 0")
 
     table = table_of(path, rows, columns, check)
-    lines, indices = np.array([line for line, _ in rows]), table[:, [name == "cone_index" for name in names]]
-    # An insertion is a column, or the rows with its number.
-    which = table[:, names.index("insertion")] if "insertion" in names else np.zeros(len(table))
-    means, errors = [], []
-    for label, column in product(dict.fromkeys(which.tolist()), range(indices.shape[1])):
-        own = which == label
-        z = table[own, names.index("depth")]
-        check_rising(path, lines[own].tolist(), z, "depths of an insertion")
-        try:
-            means.append(_mean(z, indices[own, column], low, high))
-        except InputError as error:
-            errors.append(f"{path}, insertion {label + column + ('insertion' not in names):g}: {error}")
-    raise_listed(errors)
-    return Penetrometer(str(path), np.array(means))
+    return np.array([line for line, _ in rows]), {name: table[:, np.array(names) == name] for name in names}
 
 
 def average_readings(source: Source, folder: Path) -> str:
@@ -170,9 +183,9 @@ def average_readings(source: Source, folder: Path) -> str:
     soil = source.data.get("soil")
     if not isinstance(soil, dict) or not {"penetrometer", "depth"} & {*soil}:
         return ""
+    if ("soil", "cone_index") in source.overridden:
+        return ""
     with source.noting(("soil", "penetrometer")):
-        if ("soil", "cone_index") in source.overridden:
-            return ""
         if "cone_index" in soil:
             raise InputError("both a cone index and a penetrometer's file are given: remove one")
         written, depth = soil.get("penetrometer"), soil.get("depth")
@@ -186,7 +199,7 @@ def average_readings(source: Source, folder: Path) -> str:
         found = read_penetrometer(folder / written, (between.lower, between.upper))
         source.read_files[written] = exact_text(folder / written)
         soil["cone_index"] = f"{found.mean / 1e6!r} MPa"
-        uncertain = source.data.get("uncertain")
+        uncertain = source.written("uncertain")
         entry = uncertain.get("soil.cone_index") if isinstance(uncertain, dict) else None
         if isinstance(entry, dict) and entry.get("distribution") == "penetrometer":
             entry |= {"distribution": "lognormal", "mean": f"{found.mean!r} Pa", "std": f"{found.spread!r} Pa"}
@@ -228,35 +241,31 @@ def read_strength_record(path: str | Path, *, tow_speed: float | None = None) ->
         >>> len(po.read_strength_record("problems/transect.csv").position) > 100
         True
     """
-    path = path_of("the file of readings", path)
-    place, headings, rows = readings_of(path, _RECORD)
-    columns = columns_of(place, headings, _ALONG)
-    names = [name for name, _ in columns]
-    along = [name for name in names if name in ("position", "time")]
-    if len(names) != 2 or len(along) != 1:
-        raise InputError(f"{place}: a column of positions or times and one of strengths are needed, as {_RECORD}")
-    table = table_of(path, rows, columns, lambda _k, _value, _cell: None)
-    position, strength = table[:, names.index(along[0])], table[:, names.index("cone_index")]
-    check_rising(path, [line for line, _ in rows], position, along[0])
-    if along == ["time"]:
-        if tow_speed is None:
-            raise InputError(f"{path}: readings over time need the tow speed, which turns times into positions")
-        position = position * plain_number("tow speed", QUANTITIES["scene.tow_speed"].read(tow_speed))
-    return StrengthRecord(position, strength, str(path))
+
+    def fit(count: Counter[str]) -> bool:
+        return count["position"] + count["time"] == 1 == count["cone_index"]
+
+    lines, columns = _columns(path, {"position": "m", "time": "s", "cone_index": "Pa"}, fit, _RECORD)
+    along = "time" if "time" in columns else "position"
+    position = columns[along][:, 0]
+    check_rising(Path(path), lines.tolist(), position, along)
+    if along == "time" and tow_speed is None:
+        raise InputError(f"{path}: readings over time need the tow speed, which turns times into positions")
+    speed = plain_number("tow speed", QUANTITIES["scene.tow_speed"].read(tow_speed)) if along == "time" else 1.0
+    return StrengthRecord(position * speed, columns["cone_index"][:, 0], str(path))
 
 
 def course_of_file(source: Source) -> SpeedProfile | None:
     """Replace a table of times and tow speeds in [scene] by the largest speed, and return the course relative to it."""
-    place, written = ("scene", "tow_speed"), source.written("scene.tow_speed")
+    written = source.written("scene.tow_speed")
     if not isinstance(written, dict):
         return None
     source.data["scene"]["tow_speed"] = "1 m/s"  # as long as the table is not read
-    with source.noting(place, prefix="'scene.tow_speed' "):
+    with source.noting(("scene", "tow_speed"), prefix="'scene.tow_speed' "):
         columns: list[Any] = [written.get(name) for name in ("time", "speed")]
-        if len(written) != 2 or not all(isinstance(column, list) and len(column) > 1 for column in columns):
+        lengths = {len(column) if isinstance(column, list) else 0 for column in columns}
+        if len(written) != 2 or len(lengths) > 1 or max(lengths) < 2:
             raise InputError(f"= {shown(written)} must be a speed, or {_COURSE}")
-        if len(columns[0]) != len(columns[1]):
-            raise InputError(f"has {len(columns[0])} times and {len(columns[1])} speeds: give as many of both")
         times, speeds = ([*map(Unit(unit).parse, own)] for unit, own in zip(("s", "m/s"), columns, strict=True))
         largest, profile = profile_of((times, speeds))
         if source.written("scene.average") == "whole waves":
@@ -268,8 +277,7 @@ def course_of_file(source: Source) -> SpeedProfile | None:
 
 def spectrum_of_file(source: Source, folder: Path) -> Spectrum | None:
     """Return the spectrum of the record that the table of random strength names, or None."""
-    place = tuple(RANDOM.split("."))
-    entry = source.written(RANDOM)
+    entry, place = source.written(RANDOM), RANDOM.split(".")
     if not isinstance(entry, dict) or not isinstance(entry.get("record"), str):
         return None
     with source.noting((*place, "record")):

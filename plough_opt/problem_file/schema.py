@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import reduce
 from typing import Annotated, Any, Final, Literal, TypeVar, cast, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 from pydantic.json_schema import GenerateJsonSchema
 
 from plough_opt.core.checks import check_named, shown
@@ -22,16 +22,15 @@ from plough_opt.soil.soil import Adjust, named_soil
 from plough_opt.soil.strength import RandomStrength, Spectrum, StrengthWave
 
 Written = str | float
+# Dotted names of the table of random strength, and of those of strength waves, which all have the same keys.
 RANDOM = "effects.random_strength"
-"""Dotted name of the table of random strength."""
 WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
-"""Dotted names of the tables of strength waves, in order; all have the same keys."""
 
+# Keys of [effects] with the values of the fields of `Effects` that have their names.
 CHOICES = ("motion", "inertial_drag", "added_mass", "ambient_pressure", "start", "entry", "formulation", "orbit")
-"""Keys of [effects] with the values of the fields of `Effects` that have their names."""
 
+# Word for a law of contact -> its class, and the key of its one number.
 CONTACTS: Final = {"smooth": (Smooth, "effects.contact_width"), "stick_slip": (StickSlip, "effects.breakaway")}
-"""Word for a law of contact -> its class, and the key of its one number."""
 
 _T = TypeVar("_T", bound="Table")
 _Kind = TypeVar("_Kind")
@@ -104,30 +103,35 @@ class Table(BaseModel):
 
 
 class CompactionTable(Table):
-    """A compression test, from which the density ratio at the ambient pressure follows."""
+    """A compression test, from which the density ratio at the ambient pressure follows.
+
+    Attributes:
+        pressure: pressures of the test
+        volume_lost: fraction of the volume that is lost at each of them
+    """
 
     pressure: list[Annotated[float, Unit("Pa")]]
-    """pressures of the test"""
     volume_lost: list[float]
-    """fraction of the volume that is lost at each of them"""
 
 
 class SoilTable(Table):
     """The soil: the name of a known soil, its properties, or both.
 
     A cone index may decide one property, and a compression test the density ratio.
+
+    Attributes:
+        name: a named soil; properties beside it replace its values
+        adjust: the property that the cone index decides
+        penetrometer: CSV file of cone index over depth, beside the problem file
+        depth: depths over which its readings are averaged, such as 25..45 cm
+        compaction: a compression test, which decides the density ratio
     """
 
     name: Annotated[str, _readable_by(named_soil)] | None = None
-    """a named soil; properties beside it replace its values"""
     adjust: Adjust = "strength factor"
-    """the property that the cone index decides"""
     penetrometer: str | None = None
-    """CSV file of cone index over depth, beside the problem file"""
     depth: str | None = None
-    """depths over which its readings are averaged, such as 25..45 cm"""
     compaction: CompactionTable | None = None
-    """a compression test, which decides the density ratio"""
 
     @property
     def adjusted(self) -> str:
@@ -140,14 +144,17 @@ class ShareTable(Table):
 
 
 class SceneTable(Table):
-    """Mount, masses, speed and time."""
+    """Mount, masses, speed and time.
+
+    Attributes:
+        medium: the law of resistance: its name, or a table with its name and its quantities
+        outputs: number of equal intervals between output times
+        average: average over the run, or shorten it to whole waves
+    """
 
     medium: Annotated[Any, _readable_by(medium_of), Field(json_schema_extra=describe_media)] = "plastic"
-    """the law of resistance: its name, or a table with its name and its quantities"""
     outputs: Annotated[int, Field(ge=1, le=100_000)] = 400
-    """number of equal intervals between output times"""
     average: Literal["run", "whole waves"] = "run"
-    """average over the run, or shorten it to whole waves"""
 
     @property
     def law(self) -> ResistanceLaw:
@@ -156,28 +163,31 @@ class SceneTable(Table):
 
 
 class EffectsTable(Table):
-    """Effects that differ from the defaults."""
+    """Effects that differ from the defaults.
+
+    Attributes:
+        motion: whether the share moves on its mount; if not it follows the strut
+        inertial_drag: the force Fd, which grows with the squared speed
+        added_mass: the soil that accelerates with the share
+        ambient_pressure: the pressure ahead of the compaction front
+        contact: whether the soil always resists, only a share that advances, or lets it stick and slip
+        start: at the steady deflection, at rest, or moving with the strut
+        entry: whether the share enters the soil tip first
+        orbit: the motion from the start, or the orbit that repeats with every wave
+        formulation: the corrected equations, or those of the source with its misprints
+        own: effects of your own classes
+    """
 
     motion: bool = Effects.motion
-    """whether the share moves on its mount; if not it follows the strut"""
     inertial_drag: bool = Effects.inertial_drag
-    """the force Fd, which grows with the squared speed"""
     added_mass: bool = Effects.added_mass
-    """the soil that accelerates with the share"""
     ambient_pressure: bool = Effects.ambient_pressure
-    """the pressure ahead of the compaction front"""
     contact: Literal["resisting", "smooth", "stick_slip"] = "resisting"
-    """whether the soil always resists, only a share that advances, or lets it stick and slip"""
     start: Literal["equilibrium", "rest", "towed"] = Effects.start
-    """at the steady deflection, at rest, or moving with the strut"""
     entry: bool = Effects.entry
-    """whether the share enters the soil tip first"""
     orbit: Literal["transient", "periodic"] = "transient"
-    """the motion from the start, or the orbit that repeats with every wave"""
     formulation: Literal["derived", "printed"] = "derived"
-    """the corrected equations, or those of the source with its misprints"""
     own: Annotated[list[dict[str, Any]], _readable_by(own_effects_of)] = []
-    """effects of your own classes"""
 
     def effects(
         self, values: Mapping[str, Expression], spectrum: Spectrum | None, course: SpeedProfile | None
@@ -211,53 +221,65 @@ class EffectsTable(Table):
 
 
 class RandomStrengthTable(Table):
-    """Random strength: its RMS and correlation length, or a file with a measured record."""
+    """Random strength: its RMS and correlation length, or a file with a measured record.
+
+    Attributes:
+        record: CSV file of a record along the path, beside the problem file
+        base_diameter: diameter over which the strength is averaged
+    """
 
     record: str | None = None
-    """CSV file of a record along the path, beside the problem file"""
     base_diameter: str | None = None
-    """diameter over which the strength is averaged"""
 
 
 class VariableTable(Table):
-    """Bounds of a variable as written, and values or a step to choose from; its name decides the unit."""
+    """Bounds of a variable as written, and values or a step to choose from; its name decides the unit.
+
+    Attributes:
+        lower: lower bound
+        upper: upper bound
+        guess: start of the search
+        log: whether it is scaled by its logarithm
+        tolerance: half the width of the tolerance band, in its unit or per cent
+        catalogue: values to choose from
+        step: step whose multiples are to choose from
+    """
 
     lower: Written
-    """lower bound"""
     upper: Written
-    """upper bound"""
     guess: Written | None = None
-    """start of the search"""
     log: bool = False
-    """whether it is scaled by its logarithm"""
     tolerance: Written | None = None
-    """half the width of the tolerance band, in its unit or per cent"""
     catalogue: Annotated[list[Written], Field(min_length=1)] | None = None
-    """values to choose from"""
     step: Written | None = None
-    """step whose multiples are to choose from"""
 
 
 class TermTable(Table):
-    """A term of the objective: a result, or in an uncertain soil a measure of it, divided by ``per``."""
+    """A term of the objective: a result, or in an uncertain soil a measure of it, divided by ``per``.
+
+    Attributes:
+        per: amount that counts as 1 in the objective
+        measure: measure over an uncertain soil
+    """
 
     per: Written
-    """amount that counts as 1 in the objective"""
     measure: str | None = None
-    """measure over an uncertain soil"""
 
 
 class LimitTable(Table):
-    """Limits of a result as written; in an uncertain soil they may apply to a measure or hold with a probability."""
+    """Limits of a result as written; in an uncertain soil they may apply to a measure or hold with a probability.
+
+    Attributes:
+        at_least: lower limit
+        at_most: upper limit
+        measure: measure over an uncertain soil
+        probability: fraction of the soils in which the limit holds
+    """
 
     at_least: Written | None = None
-    """lower limit"""
     at_most: Written | None = None
-    """upper limit"""
     measure: str | None = None
-    """measure over an uncertain soil"""
     probability: float | None = None
-    """fraction of the soils in which the limit holds"""
 
     @property
     def sides(self) -> dict[str, str | float]:
@@ -272,71 +294,70 @@ class LimitTable(Table):
 
     def ends(self, unit: Unit) -> tuple[float | None, float | None]:
         """Return the lower and upper limit in SI; None if absent."""
-        low, high = (None if side is None else unit.parse(side) for side in (self.at_least, self.at_most))
-        return low, high
+        values = {side: unit.parse(written) for side, written in self.sides.items()}
+        return values.get("at_least"), values.get("at_most")
 
 
 class GoalTable(Table):
-    """A result that a front trades."""
+    """A result that a front trades.
+
+    Attributes:
+        maximise: whether it is maximised
+    """
 
     maximise: bool = False
-    """whether it is maximised"""
-
-
-def _check_goal(written: object) -> object:
-    if isinstance(written, dict):
-        return written
-    raise InputError(f"= {shown(written)} must be {{}} or {{ maximise = true }}; the key of a number is 'points'")
 
 
 class TradeOffTable(Table):
-    """The results that a front trades, by name."""
+    """The results that a front trades, by name.
+
+    Attributes:
+        points: number of positions on the front
+    """
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Annotated[GoalTable, BeforeValidator(_check_goal)]]
+    __pydantic_extra__: dict[str, GoalTable]
 
     points: Annotated[int, Field(ge=5, le=1000)] = 40
-    """number of positions on the front"""
 
 
 class DistributionTable(Table):
-    """Distribution of an uncertain property of the soil, its quantities as written."""
+    """Distribution of an uncertain property of the soil, its quantities as written.
+
+    Attributes:
+        distribution: its kind
+        mean: mean
+        std: standard deviation
+        lower: lower end
+        mode: most likely value
+        upper: upper end
+    """
 
     distribution: Literal["normal", "lognormal", "uniform", "triangular", "beta"]
-    """its kind"""
     mean: Written | None = None
-    """mean"""
     std: Written | None = None
-    """standard deviation"""
     lower: Written | None = None
-    """lower end"""
     mode: Written | None = None
-    """most likely value"""
     upper: Written | None = None
-    """upper end"""
-
-
-def _check_distribution(written: object) -> object:
-    if isinstance(written, dict | DistributionTable):
-        return written
-    example = 'such as { distribution = "normal", mean = "20 kPa", std = "6 kPa" }'
-    raise InputError(f"= {shown(written)} must be a table, {example}; numbers are 'samples', 'fresh', 'seed'")
 
 
 class UncertainTable(Table):
-    """Distributions of soil properties by name, and how soils are drawn from them."""
+    """Distributions of soil properties by name, and how soils are drawn from them.
+
+    Attributes:
+        samples: number of soils that the optimiser uses
+        fresh: number of soils that are drawn anew to verify the optimum
+        seed: seed of the soils
+        correlation: pairs of properties with the correlation of their normal scores
+    """
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Annotated[DistributionTable, BeforeValidator(_check_distribution)]]
+    __pydantic_extra__: dict[str, DistributionTable]
 
     samples: Annotated[int, Field(ge=8, le=1024)] = 64
-    """number of soils that the optimiser uses"""
     fresh: Annotated[int, Field(ge=100, le=100_000)] = 4096
-    """number of soils that are drawn anew to verify the optimum"""
     seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 1
-    """seed of the soils"""
     correlation: list[Annotated[list[str | float], Field(min_length=3, max_length=3)]] = []
-    """pairs of properties with the correlation of their normal scores"""
 
     @property
     def soil(self) -> dict[str, DistributionTable]:
@@ -345,16 +366,19 @@ class UncertainTable(Table):
 
 
 class AccuracyTable(Table):
-    """Integration method and its setting, or the relative error to reach."""
+    """Integration method and its setting, or the relative error to reach.
+
+    Attributes:
+        method: integration method
+        error: relative error to reach
+        steps: number of steps of a method with fixed steps
+        tolerance: tolerance of an adaptive method
+    """
 
     method: str = "auto"
-    """integration method"""
     error: float | None = None
-    """relative error to reach"""
     steps: int | None = None
-    """number of steps of a method with fixed steps"""
     tolerance: float | None = None
-    """tolerance of an adaptive method"""
 
 
 class ProblemTable(Table):
@@ -403,6 +427,7 @@ EffectsFile = _with_quantities(
     random_strength=(RandomStrengthFile | None, None),
     **{name.removeprefix("effects."): (StrengthWaveFile | None, None) for name in WAVES},
 )
+# The complete schema, by which problem files are read.
 ProblemFile = _with_quantities(
     "ProblemFile",
     ProblemTable,
@@ -411,7 +436,6 @@ ProblemFile = _with_quantities(
     scene=(SceneFile, ...),
     effects=(EffectsFile, EffectsFile()),
 )
-"""The complete schema, by which problem files are read."""
 
 
 def valid_keys(path: tuple[str, ...]) -> list[str]:

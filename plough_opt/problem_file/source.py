@@ -35,8 +35,8 @@ _SCHEMA_MESSAGES: Final = {
 }
 # A number with a decimal comma where TOML expects a value.
 _DECIMAL_COMMA: Final = re.compile(r"^[^#\"']*=\s*([+-]?[0-9]+,[0-9]+)(?![\w\"'])")
+# Nesting depth of tables and lists that a problem file may have; the schema needs four.
 MOST_TABLES: Final = 8
-"""Nesting depth of tables and lists that a problem file may have; the schema needs four."""
 TOO_DEEP: Final = f"tables or lists are nested more than {MOST_TABLES} deep: write them flat"
 # Size limits: far above any file written by hand, and low enough that any content is read within a second.
 _MAX_BYTES: Final = 100_000
@@ -197,7 +197,9 @@ def _explained(keys: Keys, item: Any) -> str:
         choices = re.findall(r"'([^']*)'", item["ctx"]["expected"])
         return f" = {written} is unknown: {nearest(str(item['input']), choices)}"
     if words := _SCHEMA_MESSAGES.get(item["type"]):
-        return f" {words.format(written=written, **item.get('ctx', {}))}"
+        other = len(keys) == 2 and keys[0] in ("trade_off", "uncertain") and "table of keys" in words
+        rather = f", or another key: {nearest(keys[1], valid_keys(keys[:1]))}" if other else ""
+        return f" {words.format(written=written, **item.get('ctx', {}))}{rather}"
     message = item["msg"].removeprefix("Value error, ")
     joint = " " if message.startswith(("=", "is not", "has ")) else ": "
     return f"{joint}{message[0].lower() + message[1:]}"

@@ -44,23 +44,21 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
         raise InputError("the scene holds symbols: give one of numbers, such as best(scene) of an optimum")
     if not isinstance(scene.share, Wedge):
         raise InputError("a Cone cannot be written into a problem file: give the Wedge")
-    given = {name: float(as_number(value)) for name, value in quantities_of(scene).items() if value is not None}
-    frame = {"scene.frame_mass": given.pop("scene.mass"), "scene.steel_density": 0.0}
-    given |= frame | ({} if duration is None else {"scene.duration": duration})
+    values = {name: float(as_number(value)) for name, value in quantities_of(scene).items() if value is not None}
+    values |= {"scene.frame_mass": values.pop("scene.mass"), "scene.steel_density": 0.0}
+    values |= {} if duration is None else {"scene.duration": duration}
     name = next((name for name in soil_names() if named_soil(name) == scene.soil), None)
-    if name is not None:
-        given = {key: value for key, value in given.items() if EVERY[key].owner != "soil"}
-    lines = [f"title = {json.dumps(title)}", *([] if name is None else [f"soil.name = {json.dumps(name)}"])]
-    profile = scene.effects.tow_profile
-    if profile is not None:
-        speeds = [f"{part * given['scene.tow_speed']!r} m/s" for part in profile.speeds]
-        course = {"time": [f"{time!r} s" for time in profile.times], "speed": speeds}
-        lines.append(f"scene.tow_speed = {_toml(course)}")
-        del given["scene.tow_speed"]
-    lines += [f"{key} = {_with_unit(value, EVERY[key].unit)}" for key, value in given.items() if EVERY[key].in_files]
-    lines += [f"effects.{key} = {_toml(value)}" for key, value in _choices(scene)]
-    medium = scene.medium if isinstance(scene.medium, str) else _fields("law", LAWS, scene.medium)
-    lines += [] if scene.medium == Scene.medium else [f"scene.medium = {_toml(medium)}"]
+    entries: dict[str, Any] = {"title": title} | ({} if name is None else {"soil.name": name})
+    for key, value in values.items():
+        if EVERY[key].in_files and (name is None or EVERY[key].owner != "soil"):
+            entries[key] = f"{value!r} {EVERY[key].unit}" if EVERY[key].unit else value
+    if (profile := scene.effects.tow_profile) is not None:
+        speeds = [f"{part * values['scene.tow_speed']!r} m/s" for part in profile.speeds]
+        entries["scene.tow_speed"] = {"time": [f"{time!r} s" for time in profile.times], "speed": speeds}
+    entries |= {f"effects.{key}": value for key, value in _choices(scene.effects)}
+    if scene.medium != Scene.medium:
+        entries["scene.medium"] = scene.medium if isinstance(scene.medium, str) else _fields("law", LAWS, scene.medium)
+    lines = [f"{key} = {_toml(value)}" for key, value in entries.items()]
     with about("this scene cannot be written as a problem file:"):
         problem = read_source(Source("\n".join(lines) + "\n", _NAME), Path())
     found = problem.scene()
@@ -71,9 +69,8 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
     return replace(problem, displays={})
 
 
-def _choices(scene: Scene) -> Iterator[tuple[str, Any]]:
+def _choices(effects: Effects) -> Iterator[tuple[str, Any]]:
     """Yield key and value of the choices among effects that are no quantities."""
-    effects = scene.effects
     for name in CHOICES:
         if getattr(effects, name) != getattr(Effects, name):
             yield name, getattr(effects, name)
@@ -89,10 +86,6 @@ def _fields(key: str, registry: Mapping[str, type], one: Any) -> dict[str, Any]:
     units = {each.name: each.metadata.get("unit") for each in fields(one)}
     said = {k: v if units[k] is None else f"{float(v)!r} {units[k]}".strip() for k, v in given.items() if v is not None}
     return {key: name, **said}
-
-
-def _with_unit(value: float, unit: str) -> str:
-    return f'"{value!r} {unit}"' if unit else repr(value)
 
 
 def _toml(value: Any) -> str:

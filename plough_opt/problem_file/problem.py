@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.checks import check_kind, check_named, check_switch, mapping_of
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression, as_number, floor, maximum
+from plough_opt.core.expressions import Expression, as_number, floor, maximum
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import Origin
-from plough_opt.core.units import Display, Unit
+from plough_opt.core.units import Display
 from plough_opt.exchange.building import build
 from plough_opt.exchange.component import Component, Input, Output, Port, port_of
 from plough_opt.motion import Run, simulate
@@ -22,7 +22,7 @@ from plough_opt.motion.effects import SpeedProfile
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.problem_file.schema import WAVES, LimitTable, ProblemTable, medium_of
+from plough_opt.problem_file.schema import WAVES, ProblemTable, medium_of
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Wedge
 from plough_opt.soil.soil import Soil, named_soil
 from plough_opt.soil.strength import Spectrum
@@ -34,11 +34,12 @@ if TYPE_CHECKING:
 
 # The optimiser and the fronts are imported on use: files are checked and simulated without them.
 
-_T = TypeVar("_T")
 _READING = "soil.cone_index"
 _SIDES = ("lower", "upper", "guess")
+# An example of a [trade_off] table, for messages.
 TRADED = "[trade_off] with two or three results, such as mean_draft = {} and loosened_radius = { maximise = true }"
-"""An example of a [trade_off] table, for messages."""
+# Name of the sum of the [minimise] table.
+OBJECTIVE = "objective"
 # Part of a wave that is missing by rounding.
 _WHOLE: Final = 1e-9
 
@@ -79,7 +80,6 @@ class Problem:
         variables: key -> bounds and guess.
         displays: key or result -> the unit in which the file writes it.
         notes: side effects of overrides, such as a variable that an override fixed.
-        over: "worst" or "mean" to minimise the objective over the tolerances, None for the nominal objective.
         readings: sentence on the penetrometer readings that decide the soil, or "".
         spectrum: spectrum of the strength record, if the file names one.
         course: tow speed over time relative to the largest one, which is then scene.tow_speed; None if it is constant.
@@ -114,51 +114,49 @@ class Problem:
     @property
     def cautions(self) -> tuple[str, ...]:
         """Warnings about values so unusual that their unit is probably wrong, and about catalogues beyond bounds."""
-        every = [(key, key, value) for key, value in self.fixed.items()]
-        every += [(f"{key} {side}", key, getattr(v, side)) for key, v in self.variables.items() for side in _SIDES]
-        found = []
-        for name, key, value in every:
-            if slip := EVERY[key].slip(value):
-                found.append(f"{name} = {self.origin.display(key, EVERY[key].unit, value).text(value)}: {slip}")
+        values = [(key, key, value) for key, value in self.fixed.items()]
+        values += [(f"{key} {side}", key, getattr(v, side)) for key, v in self.variables.items() for side in _SIDES]
+        slips = ((name, key, value, EVERY[key].slip(value)) for name, key, value in values)
+        cautions = [f"{name} = {self.origin.display(key, EVERY[key].unit, value).text(value)}: {slip}"
+                    for name, key, value, slip in slips if slip]  # fmt: skip
         for key, v in self.variables.items():
             entries = v.catalogue if isinstance(v.catalogue, tuple) else ()
             if outside := [v.display.text(x) for x in entries if not v.lower <= x <= v.upper]:
-                found.append(f"the bounds of {key}, {v.words}, leave out of its catalogue {', '.join(outside)}")
-        return tuple(found)
+                cautions.append(f"the bounds of {key}, {v.words}, leave out of its catalogue {', '.join(outside)}")
+        return tuple(cautions)
 
     @property
     def reliance(self) -> tuple[str, ...]:
         """Warnings that this design relies on what did not hold when tried; see docs/explanation/validation.md."""
         if not self.table.scene.law.slender:
             return ()
-        given, limits = self.values(), self.table.require
-        wanted = {*self.table.minimise, *self.table.goals, *limits}
+        values, wanted = self.values(), {*self.table.minimise, *self.table.goals, *self.table.require}
         varied = {*self.variables, *(self.table.uncertain.soil if self.table.uncertain else ())}
-        angle = limits["half_angle"].at_most if "half_angle" in limits else None
-        blunt = angle is None or Unit("rad").parse(angle) > PLANE_SECTIONS_LIMIT
-        front = "loosened_radius" in wanted and "soil.density_ratio" not in given
+        angle = self.limits.get("half_angle", (None, None))[1]
+        front = "loosened_radius" in wanted and "soil.density_ratio" not in values
         ratio = (1.0 - float(as_number(self.scene().soil.density_ratio))) ** -0.5 if front else math.nan
-        relied = {
-            "the level of the draft was not measured: computed from the soil's properties it is low by a factor of up"
-            " to 3.3 among particles and by more in sand, so give a cone index (soil.cone_index)":
-                not given.keys() & {_READING, "soil.strength_factor"},
-            "of two shares with the same base the blunter has less draft here, and the same draft among particles:"
-            f" require half_angle at most {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg":
-                blunt and "share.wedge_angle" in self.variables,
-            "a mount softer than its resonance takes 30 to 60 % off the RMS of a rigid share's force here, and took"
-            " nothing off among particles: do not count on what a soft mount saves":
-                "scene.stiffness" in self.variables and wanted & {"force_rms", "stationary_force_rms"},
-            "the draft grows by some per cent over the usual speeds, in measurements by much more: calibrate"
-            " effects.speed_term to drafts at several speeds":
-                "scene.tow_speed" in self.variables and not given.keys() & {"effects.speed_term", "effects.rate_term"},
-            "with one density ratio the draft grows in proportion to the ambient pressure, among particles to about its"
-            " root: give a compression test (soil.compaction)":
-                "soil.ambient_pressure" in varied and self.table.soil.compaction is None,
-            f"loosened_radius is {ratio:.3g} times the base radius of the cone in this soil, so it measures the size of"
-            " the share; among particles displacement has no front: take soil.density_ratio from the width of a trench"
-            " across a pass": front,
-        }  # fmt: skip
-        return tuple(sentence for sentence, relied_on in relied.items() if relied_on)
+        relied_on = (
+            (not values.keys() & {_READING, "soil.strength_factor"},
+             "the level of the draft was not measured: computed from the soil's properties it is low by a factor of up"
+             " to 3.3 among particles and by more in sand, so give a cone index (soil.cone_index)"),
+            ("share.wedge_angle" in self.variables and (angle is None or angle > PLANE_SECTIONS_LIMIT),
+             "of two shares with the same base the blunter has less draft here, and the same draft among particles:"
+             f" require half_angle at most {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg"),
+            ("scene.stiffness" in self.variables and wanted & {"force_rms", "stationary_force_rms"},
+             "a mount softer than its resonance takes 30 to 60 % off the RMS of a rigid share's force here, and took"
+             " nothing off among particles: do not count on what a soft mount saves"),
+            ("scene.tow_speed" in self.variables and not values.keys() & {"effects.speed_term", "effects.rate_term"},
+             "the draft grows by some per cent over the usual speeds, in measurements by much more: calibrate"
+             " effects.speed_term to drafts at several speeds"),
+            ("soil.ambient_pressure" in varied and self.table.soil.compaction is None,
+             "with one density ratio the draft grows in proportion to the ambient pressure, among particles to about"
+             " its root: give a compression test (soil.compaction)"),
+            (front,
+             f"loosened_radius is {ratio:.3g} times the base radius of the cone in this soil, so it measures the size"
+             " of the share; among particles displacement has no front: take soil.density_ratio from the width of a"
+             " trench across a pass"),
+        )  # fmt: skip
+        return tuple(sentence for condition, sentence in relied_on if condition)
 
     @property
     def origin(self) -> Origin:
@@ -176,10 +174,14 @@ class Problem:
             >>> po.read_problem("problems/cotton_subsoiler.toml").made(seed=3).file
             'cotton_subsoiler.toml'
         """
-        limits = {name: limit.ends(MEASURES[name].unit) for name, limit in self.table.require.items()}
         name = Path(self.name).name.encode(errors="replace").decode()  # names of files need not be text
         return Origin(self.title, self.displays, name, self.text, seed=seed, overrides=self.overrides, data=self.data,
-                      limits=limits).now()  # fmt: skip
+                      limits=self.limits).now()  # fmt: skip
+
+    @property
+    def limits(self) -> dict[str, tuple[float | None, float | None]]:
+        """Name of each required result -> its lower and upper limit in SI, None if absent."""
+        return {name: limit.ends(MEASURES[name].unit) for name, limit in self.table.require.items()}
 
     @property
     def accuracy(self) -> Accuracy:
@@ -199,12 +201,14 @@ class Problem:
             2.5
         """
         changed = mapping_of("changes", changes, "a quantity's key -> its value")
-        found = {**self.fixed, **{key: v.guess for key, v in self.variables.items()}, **changed}
+        values = {**self.fixed, **{key: v.guess for key, v in self.variables.items()}, **changed}
         if self.table.soil.adjusted in changed:
-            found.pop(_READING, None)
+            values.pop(_READING, None)
         if self.table.scene.average == "whole waves":
-            found["scene.duration"] = whole_waves(found)
-        return found
+            lengths = [values[key] for name in WAVES if (key := f"{name}.wavelength") in values]
+            period = reduce(maximum, lengths) / values["scene.tow_speed"]
+            values["scene.duration"] = maximum(floor(values["scene.duration"] / period + _WHOLE), 1.0) * period
+        return values
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
         """Return the scene with the variables at their guesses.
@@ -236,33 +240,23 @@ class Problem:
 
     def soil(self, values: Mapping[str, Expression]) -> Soil:
         """Return the soil for the values of all quantities."""
-        own = {key.removeprefix("soil."): value for key, value in values.items() if key.startswith("soil.")}
-        table, reading = self.table.soil, values.get(_READING)
-        if reading is None:
-            return self._soil_of(own)
-        del own[EVERY[_READING].key]
-        if table.name is None:  # a Soil needs some value of the property that the cone index replaces
+        own: dict[str, Any] = {key.removeprefix("soil."): x for key, x in values.items() if key.startswith("soil.")}
+        table, reading = self.table.soil, own.pop("cone_index", None)
+        test = None if "density_ratio" in own else table.compaction
+        # A Soil needs some value of the property that the cone index or the test replaces.
+        if reading is not None and table.name is None:
             own.setdefault(EVERY[table.adjusted].key, EVERY[table.adjusted].typical)
-        return Soil.from_cone_index(reading, self._soil_of(own), table.adjust)
-
-    def _soil_of(self, own: dict[str, Column]) -> Soil:
-        test = self.table.soil.compaction
-        if test is None or "density_ratio" in own:
-            return self._with_properties(own)
-        any_ratio = {"density_ratio": EVERY["soil.density_ratio"].typical}  # a Soil needs some value of it
-        return Soil.from_compaction(test.pressure, test.volume_lost, self._with_properties(own | any_ratio))
-
-    def _with_properties(self, own: dict[str, Column]) -> Soil:
-        name = self.table.soil.name
-        if name is None:
-            return Soil(**own, name="the soil of this file", source=f"values in {self.name}")
-        base = named_soil(name)
-        if not own:
-            return base
-        changed = ", ".join(sorted(own))
-        properties = {f: getattr(base, f) for f in base.__dataclass_fields__} | own
-        note = {"name": f"{base.name}, changed", "source": f"{base.source}; changed in {self.name}: {changed}"}
-        return Soil(**(properties | note))
+        if test is not None:
+            own["density_ratio"] = EVERY["soil.density_ratio"].typical
+        if table.name is None:
+            soil = Soil(**own, name="the soil of this file", source=f"values in {self.name}")
+        else:
+            soil = named_soil(table.name)
+            source = f"{soil.source}; changed in {self.name}: {', '.join(sorted(own))}"
+            soil = replace(soil, **own, name=f"{soil.name}, changed", source=source) if own else soil
+        if test is not None:
+            soil = Soil.from_compaction(test.pressure, test.volume_lost, soil)
+        return soil if reading is None else Soil.from_cone_index(reading, soil, table.adjust)
 
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:
         """Return the numeric run of `scene`.
@@ -307,10 +301,7 @@ class Problem:
             True
         """
         check_switch("parameters", parameters)
-        self._check_variables()
-        if not self.table.minimise:
-            raise InputError(f"{self.name}: nothing to minimise: add a table [minimise]")
-        design, run = self._required(parameters)
+        design, run = self._required(self.table.minimise, "minimise: add a table [minimise]", parameters)
         design.minimise(self.objective(run))
         return design, run
 
@@ -329,14 +320,22 @@ class Problem:
             objective = objective + MEASURES[name].of(run) / MEASURES[name].unit.parse(term.per)
         return objective
 
-    def _check_variables(self) -> None:
-        """Raise InputError if the file has no variables."""
+    def _required(self, table: object, lacking: str, parameters: bool = False) -> tuple[Design, Run]:
+        """Return the design with its requirements but no objective, and its symbolic run.
+
+        Args:
+            table: the table that the question needs.
+            lacking: end of the sentence that refuses a file without it.
+            parameters: as in `design`.
+
+        Raises:
+            InputError: the file has no variables, or the table is empty.
+        """
         if not self.variables:
             why = "every variable is fixed" if self.notes else "add a table [variables]"
             raise InputError(f"{self.name}: nothing to choose: {why}")
-
-    def _required(self, parameters: bool = False) -> tuple[Design, Run]:
-        """Return the design with its requirements but no objective, and its symbolic run."""
+        if not table:
+            raise InputError(f"{self.name}: nothing to {lacking}")
         from plough_opt.design import Design
 
         design = Design()
@@ -348,10 +347,9 @@ class Problem:
             whole = self.scene(symbols)
             scene = replace(whole, soil=replace(whole.soil, name=scene.soil.name, source=scene.soil.source))
         run = self.run_of(scene, self.values(symbols))
-        for name, limit in self.table.require.items():
-            (low, high), unit = limit.ends(MEASURES[name].unit), MEASURES[name].unit.symbol
-            value, display = MEASURES[name].of(run), self.displays.get(name)
-            design.require(name, value, at_least=low, at_most=high, unit=unit, display=display)
+        for name, (low, high) in self.limits.items():
+            unit, display = MEASURES[name].unit.symbol, self.displays.get(name)
+            design.require(name, MEASURES[name].of(run), at_least=low, at_most=high, unit=unit, display=display)
         return design, run
 
     def component(
@@ -416,17 +414,14 @@ class Problem:
         every = dict.fromkeys([*table.minimise, *table.goals, *table.require])
         if not (names := names or [*([OBJECTIVE] if table.minimise else []), *every]):
             raise InputError(f"{self.name} minimises, trades and requires nothing: name outputs")
-        found = []
+        outputs = []
         for name in names:
             check_kind("an output", name, str, "the name of a result")
-            if name == OBJECTIVE and table.minimise:
-                found.append(Output(name, of=self.objective))
-            elif name not in MEASURES:  # `build` raises InputError for unknown names
-                found.append(Output(name))
-            else:
-                low, high = table.require.get(name, LimitTable()).ends(MEASURES[name].unit)
-                found.append(Output(name, -math.inf if low is None else low, math.inf if high is None else high))
-        return found
+            low, high = self.limits.get(name, (None, None))
+            ends = -math.inf if low is None else low, math.inf if high is None else high
+            of = self.objective if name == OBJECTIVE and table.minimise else None
+            outputs.append(Output(name, *ends, of=of))  # `build` raises InputError for unknown names
+        return outputs
 
     def numbers(self) -> dict[str, float]:
         """Return key -> value of every quantity that is not a variable, including the properties of a named soil.
@@ -497,28 +492,10 @@ class Problem:
         """
         from plough_opt.studies.tradeoff import Goal, trade_off
 
-        self._check_variables()
-        if self.table.trade_off is None:
-            raise InputError(f"{self.name}: nothing to trade: add a table {TRADED}")
-        design, run = self._required()
+        table = self.table.trade_off
+        design, run = self._required(table, f"trade: add a table {TRADED}")
+        assert table is not None
         goals = [Goal(name, MEASURES[name].of(run), MEASURES[name].unit.symbol, maximise)
                  for name, maximise in self.table.goals.items()]  # fmt: skip
-        count = self.table.trade_off.points if points is None else points
-        found = trade_off(design, *goals, points=count, title=self.title, progress=progress)
-        return replace(found, origin=self.origin)
-
-
-OBJECTIVE = "objective"
-"""Name of the sum of the [minimise] table."""
-
-
-def longest_period(values: Mapping[str, Expression]) -> Expression:
-    """Return the time in which the share passes the longest of the strength waves [s]."""
-    lengths = [value for key, value in values.items() if key in {f"{name}.wavelength" for name in WAVES}]
-    return reduce(maximum, lengths) / values["scene.tow_speed"]
-
-
-def whole_waves(values: Mapping[str, Expression]) -> Expression:
-    """Return the time in which the share passes as many of the longest waves as fit into the duration, or one [s]."""
-    period = longest_period(values)
-    return maximum(floor(values["scene.duration"] / period + _WHOLE), 1.0) * period
+        count = table.points if points is None else points
+        return replace(trade_off(design, *goals, points=count, title=self.title, progress=progress), origin=self.origin)

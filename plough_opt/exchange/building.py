@@ -6,17 +6,15 @@ Each Function consists of small scalar graphs around one loop over the integrati
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.checks import (
-    LEAST,
     DomainLimit,
     check_kind,
     check_named,
@@ -25,7 +23,7 @@ from plough_opt.core.checks import (
     shown,
     whole_number,
 )
-from plough_opt.core.errors import DomainError, InputError, PloughError
+from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import (
     Column,
     Expression,
@@ -57,11 +55,13 @@ from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.scene import Scene, duration_of, quantities_of, with_quantities
+from plough_opt.motion.simulation import repeat
+from plough_opt.motion.solvers import plan
 from plough_opt.motion.solvers.checks import refuse_runaway
 from plough_opt.motion.solvers.derivatives import derivative_error
-from plough_opt.motion.solvers.integrators import Integration, assemble, integration, quasi_static
-from plough_opt.motion.solvers.plan import fewest_steps, forced_rate, numbers_of, phase, steps_for, timeline_of
-from plough_opt.motion.solvers.steps import GAUSS_POINTS, MORE_POINTS, Timeline
+from plough_opt.motion.solvers.integrators import Case, Integration, assemble, integration, quasi_static
+from plough_opt.motion.solvers.steps import Timeline
+from plough_opt.motion.solvers.verified import agreement
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 
 DURATION, FRAME, STEEL = BESIDE
@@ -172,47 +172,12 @@ MakeScene = Callable[[Mapping[str, Expression]], tuple[Scene, Expression | None]
 Results = Mapping[str, Callable[[Run], Expression]]
 """Name of each result -> its value in a symbolic run, a scalar or a column."""
 
-Values = dict[str, NDArray[np.float64]]
-# The first guess of the number of steps: phase [rad] of the fastest oscillation in one step.
-_PHASE_PER_GUESSED_STEP = 0.8
-# The same for a quasi-static average: phase [rad] of the fastest oscillation in one panel.
-_PHASE_PER_PANEL = 4.0
 _MOST_COMPONENT_STEPS = 50_000
 # Limit on the number of times that the number of steps is raised.
 _MOST_ROUNDS = 6
-# Errors are relative to a force of at least this part of V0 sqrt(k0 M), which prevents a division by 0.
-_LEAST_PART_OF_FORCE = 1e-9
 # A share retreats if its speed falls below minus this part of its largest speed; less is rounding.
 _RETREAT_IN_BOUNDS = 1e-6
-# Results that are checked at points of the box. The underscore at the end keeps their names apart from the inputs'.
-_CHECKED: Results = {
-    "draft_": lambda run: run.mean_draft,
-    "rms_": lambda run: run.force_rms,
-    "force_": lambda run: run.mount_force,
-    "speed_": lambda run: run.speed,
-    "scale_": lambda run: run.scene.tow_speed * (run.scene.stiffness * run.scene.inertia) ** 0.5,
-    "half_angle_": lambda run: run.scene.cone.half_angle,
-}
 _Request = TypeVar("_Request", Input, Output)
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """How finely a run is resolved.
-
-    Attributes:
-        steps: number of steps of order 8, or of panels of a quasi-static average.
-        outputs: number of equal intervals between output times.
-        points: number of quadrature nodes in a panel.
-    """
-
-    steps: int
-    outputs: int
-    points: int = GAUSS_POINTS
-
-    def finer(self, motion: bool) -> Resolution:
-        """Return a finer resolution, whose results check those of this one."""
-        return replace(self, steps=2 * self.steps) if motion else replace(self, points=self.points + MORE_POINTS)
 
 
 @dataclass(frozen=True)
@@ -264,14 +229,15 @@ class Scenes:
         scene, duration = self.at(x)
         return kind, x, scene, duration, parameters(scene)
 
-    def function(self, results: Results, resolution: Resolution) -> ca.Function:
+    def function(self, results: Results, steps: int, outputs: int) -> ca.Function:
         """Return results of a run, each a dense column, as a Function of the inputs.
 
         Inputs that a caller omits have their values.
 
         Args:
             results: the results by name.
-            resolution: steps and outputs.
+            steps: number of steps of order 8, or of panels of a quasi-static average.
+            outputs: number of equal intervals between output times.
         """
         kind, x, scene, duration, p = self._symbolic
         arguments, names = [port.argument for port in self.inputs], list(results)
@@ -281,10 +247,10 @@ class Scenes:
             return [ca.densify(ca.vec(kind(result(run)))) for result in results.values()]
 
         if not scene.effects.motion:
-            run = quasi_static(scene, p, duration, self._timeline(resolution), Accuracy(), resolution.points)
+            run = quasi_static(scene, p, duration, self._timeline(steps, outputs), Accuracy())
             return ca.Function(self.name, x, columns(run), arguments, names, options)
         # Three Functions are chained: inputs -> parameters -> motion (the loop over the steps) -> results.
-        solver, parameters_of = self.motion(resolution)
+        solver, parameters_of = self._motion(steps, outputs)
         integrate = solver.function
         motion = [kind.sym(f"o{k}", *integrate.size_out(k)) for k in range(integrate.n_out())]
         states, means, variances = motion
@@ -305,162 +271,131 @@ class Scenes:
     def gives_columns(self, results: Results) -> bool:
         """Return whether any result is a column over the output times."""
         # The shortest run has two output times, at start and end: a result with a value at each has two rows.
-        function = self.function(results, Resolution(1, 1))
+        function = self.function(results, 1, 1)
         return any(function.numel_out(k) > 1 for k in range(function.n_out()))
 
-    def motion(self, resolution: Resolution) -> tuple[Integration, ca.Function]:
+    def _motion(self, steps: int, outputs: int) -> tuple[Integration, ca.Function]:
         """Return the integration of a run, and a Function from the inputs to its parameters, the duration last."""
         _, x, scene, duration, p = self._symbolic
-        timeline = self._timeline(resolution)
+        timeline = self._timeline(steps, outputs)
         solver = integration(Structure.of(scene), Accuracy("dop853", steps=timeline.steps), timeline)
         return solver, ca.Function("parameters", x, [stacked(*(p[key] for key in solver.names), duration)])
 
-    def _timeline(self, resolution: Resolution) -> Timeline:
+    def _timeline(self, steps: int, outputs: int) -> Timeline:
         """Return the times of a run of symbols."""
         _, _, scene, duration, _ = self._symbolic
         # Outputs at start and end alone need no interpolation between steps.
-        method: str | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
-        return timeline_of(scene, duration, resolution.outputs, resolution.steps, method)
+        method: str | None = "dop853" if scene.effects.motion and outputs > 1 else None
+        return plan.timeline_of(scene, duration, outputs, steps, method)
+
+    def derivative_error(self, steps: int, outputs: int, columns: Sequence[Sequence[float]]) -> float:
+        """Return the largest relative error of the motion's derivatives, for columns of its parameters."""
+        solver, parameters_of = self._motion(steps, outputs)
+        varying = {row for k in range(parameters_of.n_in()) for row in parameters_of.jac_sparsity(0, k).row()}
+        # Without output times between the ends only the averages are used: skip the states.
+        first = solver.function.numel_out(0) if outputs == 1 else 0
+        return derivative_error(solver, first, tuple(sorted(varying)), np.array(columns).T)
 
 
-@dataclass(frozen=True)
-class Box:
-    """The scenes between the bounds of their inputs.
+def _resolved(scenes: Scenes, accuracy: Accuracy, outputs: int) -> tuple[int, float, tuple[str, ...]]:
+    """Return the steps, or panels, that reach the wanted error between the bounds, that error [-], and warnings.
 
-    Attributes:
-        scenes: makes a scene from values of the inputs.
-        accuracy: the error to reach, or the number of steps.
-        outputs: number of intervals between output times.
+    A number of steps in the accuracy is used as it is.
+
+    Raises:
+        DomainError: bounds outside the model's domain, or a motion that is not finite or takes too many steps.
     """
+    cases, wanted, runs, notes = _cases(scenes, outputs), accuracy.error or DEFAULT_ERROR, list[Run](), list[str]()
 
-    scenes: Scenes
-    accuracy: Accuracy
-    outputs: int
+    def error_of(steps: int) -> float:
+        runs[:], errors = zip(*(_run(where, case, steps) for where, case in cases.items()), strict=True)
+        return float(max(errors))
 
-    @property
-    def _moves(self) -> bool:
-        return self.scenes.scene.effects.motion
-
-    @cached_property
-    def _points(self) -> list[NDArray[np.float64]]:
-        """Values of the inputs at which errors are estimated."""
-        effects, inputs = self.scenes.scene.effects, self.scenes.inputs
-        # A draft that is constant in time has no error of steps or panels, so the corners suffice.
-        towed = effects.tow_ramp is not None or effects.accelerates
-        varies = effects.motion or bool(effects.waves) or towed or effects.own
-        return [*corner_points(inputs), *(interior_points(inputs) if varies else ())]
-
-    def resolved(self) -> tuple[Resolution, float, tuple[str, ...]]:
-        """Return the resolution that reaches the wanted error everywhere between the bounds, its error, and warnings.
-
-        A number of steps in the accuracy is used as it is.
-
-        Raises:
-            DomainError: bounds outside the model's domain.
-        """
-        wanted, first_guess = self.accuracy.error or DEFAULT_ERROR, self._first_guess()
-        steps, error = self._refined(self.accuracy.steps or first_guess, self._error, wanted)
-        notes = []
-        if error > wanted:
-            notes.append(f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}")
-        if self._moves:
-            wanted = self.accuracy.wanted_derivatives
-            steps, derivative_error = self._refined(steps, self._derivative_error, wanted)
-            if derivative_error > wanted:
-                notes.append(f"derivatives have an error of {derivative_error:.1e}, not the wanted {wanted:.1e}")
-        resolution = Resolution(steps, self.outputs)
-        return resolution, error, (*self._warnings(resolution), *notes)
-
-    def _refined(self, steps: int, error_of: Callable[[Resolution], float], wanted: float) -> tuple[int, float]:
-        """Increase the number of steps until the error is as wanted; return both.
-
-        A number of steps that the accuracy gives is used as it is, and none exceeds the limit.
-        """
-        error = error_of(Resolution(steps, self.outputs))
+    def refined(steps: int, error_of: Callable[[int], float], wanted: float) -> tuple[int, float]:
+        error = error_of(steps)
         for _ in range(_MOST_ROUNDS):
-            if error <= wanted or self.accuracy.steps is not None or 2 * steps > _MOST_COMPONENT_STEPS:
+            if error <= wanted or accuracy.steps is not None or 2 * steps > _MOST_COMPONENT_STEPS:
                 break
             # The error of order 8 falls with the eighth power of the steps. Take a tenth more, at most twice as many.
             steps = math.ceil(steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
-            error = error_of(Resolution(steps, self.outputs))
+            error = error_of(steps)
         return steps, error
 
-    def _error(self, resolution: Resolution) -> float:
-        """Return the largest relative difference from a finer run, in draft, RMS, and mount force at the outputs."""
-        coarse, fine = self._evaluated(resolution), self._evaluated(resolution.finer(self._moves))
-        least = np.maximum(_LEAST_PART_OF_FORCE * fine["scale_"], LEAST)
-        size = np.maximum(np.maximum(np.abs(fine["draft_"]), fine["rms_"]), least)
-        peak = np.maximum(np.max(np.abs(fine["force_"]), axis=1, keepdims=True), least)
-        scales = {"draft_": size, "rms_": size, "force_": peak}
-        return max(float(np.max(np.abs(coarse[name] - fine[name]) / scale)) for name, scale in scales.items())
+    moves = scenes.scene.effects.motion
+    guesses = {where: _first_guess(case) for where, case in cases.items()}
+    fastest = max(guesses, key=guesses.__getitem__)
+    if moves and accuracy.steps is None and guesses[fastest] > _MOST_COMPONENT_STEPS:
+        raise DomainError(
+            f"at {fastest} the share oscillates so fast that the run would take {guesses[fastest]} steps: narrow the"
+            " bounds on stiffness and mass, shorten the duration, or use the quasi-static scene"
+        )
+    steps, error = refined(accuracy.steps or guesses[fastest], error_of, wanted)
+    if error > wanted:
+        notes.append(f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}")
+    if moves:
+        wanted, columns = accuracy.wanted_derivatives, [case.column for case in cases.values()]
+        steps, of_slopes = refined(steps, lambda steps: scenes.derivative_error(steps, outputs, columns), wanted)
+        if of_slopes > wanted:
+            notes.append(f"derivatives have an error of {of_slopes:.1e}, not the wanted {wanted:.1e}")
+    return steps, error, (*_warnings(scenes.scene, dict(zip(cases, runs, strict=True))), *notes)
 
-    def _derivative_error(self, resolution: Resolution) -> float:
-        """Return the largest error of the motion's derivatives."""
-        solver, parameters_of = self.scenes.motion(resolution)
-        varying = {row for k in range(parameters_of.n_in()) for row in parameters_of.jac_sparsity(0, k).row()}
-        p = np.hstack([parameters_of.call(list(x))[0].full() for x in self._points])
-        # Without output times between the ends only the averages are used: skip the states.
-        first = solver.function.numel_out(0) if self.outputs == 1 else 0
-        return derivative_error(solver, first, tuple(sorted(varying)), p)
 
-    def _first_guess(self) -> int:
-        """Return the number of steps, or panels, for the fastest oscillation at any corner of the bounds.
+def _cases(scenes: Scenes, outputs: int) -> dict[str, Case]:
+    """Return values of the inputs in words -> the scene and duration there, at corners and inside the box.
 
-        Raises:
-            DomainError: a scene outside the model's domain, or one that needs more steps than the limit.
-        """
-        most = 0
-        for x in corner_points(self.scenes.inputs):
-            where = point_text(self.scenes.inputs, x)
-            try:
-                scene, given = self.scenes.at(x.tolist())
-                duration = float(as_number(given))
-                scene.check_reaction()
-                refuse_runaway(scene, duration)
-            except PloughError as error:
-                raise DomainError(f"at {where}: {error}; give the inputs narrower bounds") from None
-            p = numbers_of(scene)
-            if self._moves:
-                most = max(most, steps_for(phase(p, duration), _PHASE_PER_GUESSED_STEP), fewest_steps(p))
-            else:
-                most = max(most, steps_for(forced_rate(p) * duration, _PHASE_PER_PANEL))
-            if self.accuracy.steps is None and most > _MOST_COMPONENT_STEPS:
-                raise DomainError(
-                    f"at {where} the share oscillates so fast that the run would take {most} steps: narrow the bounds"
-                    " on stiffness and mass, shorten the duration, or use the quasi-static scene"
-                )
-        return most
+    Raises:
+        DomainError: a scene outside the model's domain.
+    """
+    inputs, cases = scenes.inputs, dict[str, Case]()
+    # Panels of a quasi-static average err by rounding, so the corners suffice.
+    for x in [*corner_points(inputs), *(interior_points(inputs) if scenes.scene.effects.motion else ())]:
+        where = point_text(inputs, x)
+        try:
+            scene, duration = scenes.at(x.tolist())
+            case = Case.of(scene, float(as_number(duration)), outputs)
+            scene.check_reaction()
+            refuse_runaway(scene, case.duration)
+        except PloughError as error:
+            raise DomainError(f"at {where}: {error}; give the inputs narrower bounds") from None
+        cases[where] = case
+    return cases
 
-    def _evaluated(self, resolution: Resolution) -> Values:
-        """Return the checked results, a row for each point.
 
-        Raises:
-            DomainError: a result is not finite.
-        """
-        function = self.scenes.function(_CHECKED, resolution)
-        rows = [[value.full().ravel() for value in function.call(list(x))] for x in self._points]
-        values = {name: np.array(column) for name, column in zip(_CHECKED, zip(*rows, strict=True), strict=True)}
-        odd = np.flatnonzero(~np.all([np.isfinite(value).all(axis=1) for value in values.values()], axis=0))
-        if odd.size:
-            what, where = "motion" if self._moves else "draft", point_text(self.scenes.inputs, self._points[odd[0]])
-            raise DomainError(f"the {what} has no finite value at {where}: give the inputs narrower bounds")
-        return values
+def _first_guess(case: Case) -> int:
+    """Return the steps, or panels, that a scene usually needs."""
+    if not case.scene.effects.motion:
+        return plan.steps_for(plan.rates_of(case.scene).forced * case.duration)
+    return max(plan.steps_for(case.phase, 0.8), plan.fewest_steps(case.p))
 
-    def _warnings(self, resolution: Resolution) -> tuple[str, ...]:
-        """Return warnings about the scene at the inputs' values, and about those between the bounds."""
-        scene, values = self.scenes.scene, self._evaluated(resolution)
-        notes, bluntest = list(scene.warnings()), float(values["half_angle_"].max())
-        warned = any("plane sections" in note for note in notes)
-        if scene.law.slender and bluntest > PLANE_SECTIONS_LIMIT and not warned:
-            notes.append(f"within the bounds the half angle reaches {too_blunt(bluntest)}")
-        lowest = values["speed_"].min(axis=1)
-        slowest = int(np.argmin(lowest))
-        if lowest[slowest] < -_RETREAT_IN_BOUNDS * np.abs(values["speed_"][slowest]).max():
-            where = f"as at {point_text(self.scenes.inputs, self._points[slowest])} at up to {-lowest[slowest]:.3g} m/s"
-            notes.append(
-                f"within the bounds the share retreats, {where}, and this contact law ignores the gap that it leaves"
-            )
-        return tuple(notes)
+
+def _run(where: str, case: Case, steps: int) -> tuple[Run, float]:
+    """Return a scene's run by a number of steps, and its estimated relative error [-].
+
+    Raises:
+        DomainError: it has no finite values.
+    """
+    setting = Accuracy("dop853", steps=steps)
+    try:
+        if case.scene.effects.motion:
+            return agreement(case, setting, plan.finer(setting), 1.0)
+        run = repeat(case.scene, case.duration, outputs=case.outputs)
+        return run, run.error_estimate or 0.0
+    except IntegrationError as failed:
+        raise DomainError(f"at {where}: {failed}; give the inputs narrower bounds") from None
+
+
+def _warnings(scene: Scene, runs: Mapping[str, Run]) -> Iterator[str]:
+    """Yield warnings about the scene at the inputs' values, and about those between the bounds."""
+    own = scene.warnings()
+    yield from own
+    bluntest = max(float(as_number(run.scene.cone.half_angle)) for run in runs.values())
+    if scene.law.slender and bluntest > PLANE_SECTIONS_LIMIT and not any("plane sections" in note for note in own):
+        yield f"within the bounds the half angle reaches {too_blunt(bluntest)}"
+    lowest = {where: float(np.min(run.speed)) for where, run in runs.items()}
+    slowest = min(lowest, key=lowest.__getitem__)
+    if lowest[slowest] < -_RETREAT_IN_BOUNDS * np.max(np.abs(runs[slowest].speed)):
+        where = f"as at {slowest} at up to {-lowest[slowest]:.3g} m/s"
+        yield f"within the bounds the share retreats, {where}, and this contact law ignores the gap that it leaves"
 
 
 def component(
@@ -553,14 +488,14 @@ def build(
     results = {identifier(one.name): value_of for one, (_, value_of) in zip(requested, measures, strict=True)}
     # Averages alone need no output times between start and end.
     intervals = samples if scenes.gives_columns(results) else 1
-    resolution, error, warnings = Box(scenes, accuracy, intervals).resolved()
-    function = scenes.function(results, resolution)
+    steps, error, warnings = _resolved(scenes, accuracy, intervals)
+    function = scenes.function(results, steps, intervals)
     values = function.call([port.value for port in inputs])
     output_ports = [
         Port(one.name, unit, one.lower, one.upper, _largest(one, value), value.numel())
         for one, (unit, _), value in zip(requested, measures, values, strict=True)
     ]
-    used = Accuracy("dop853", steps=resolution.steps) if scenes.scene.effects.motion else Accuracy()
+    used = Accuracy("dop853", steps=steps) if scenes.scene.effects.motion else Accuracy()
     return Component(function, scenes.inputs, tuple(output_ports), used, error, (*warnings, *notes), scenes.domain())
 
 

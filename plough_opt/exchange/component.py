@@ -280,8 +280,7 @@ class Component(ca.Function):
         inputs: names, units, bounds and values.
         outputs: names, units, limits, and values at the inputs' values.
         accuracy: method and steps.
-        error_estimate: largest relative error [-] found at corners of the bounds and points inside. Errors of mean
-            draft and RMS force are relative to the larger of the two, those of the mount force to its peak.
+        error_estimate: largest relative error [-] found at corners of the bounds and points inside, as in `simulate`.
         warnings: warnings about its results.
         domain: limits of the law of resistance, and a Function of the same inputs that returns the limited values.
 

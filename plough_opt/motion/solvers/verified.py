@@ -36,7 +36,7 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
         run, error = _refined(case, wanted)
         error, warnings = _warned(case, run, error, wanted)
     else:
-        run, error = _agreement(case, *plan.named(accuracy, case.p, case.duration, case.outputs), _MARGIN)
+        run, error = agreement(case, *plan.named(accuracy, case.p, case.duration, case.outputs), _MARGIN)
         finer = f"the estimated relative error is {error:.1e}: use more steps or a tighter tolerance"
         warnings = (finer,) if error > WORTH_A_WARNING else ()
     _LOG.debug("motion by %s: estimated error %.2g", run.accuracy, error)
@@ -78,7 +78,7 @@ def _refinements(case: Case, method: str, wanted: float) -> Iterator[tuple[Run, 
     for attempts_left in (3, 2, 1, 0):
         error = math.inf
         try:
-            run, error = _agreement(case, setting, plan.coarser(setting), _MARGIN if case.structure.kinked else 1.0)
+            run, error = agreement(case, setting, plan.coarser(setting), _MARGIN if case.structure.kinked else 1.0)
         except IntegrationError as failed:
             chosen = setting.adaptive and not isinstance(failed, MissedEvent)  # an adaptive method chose its steps
             if chosen or not attempts_left:
@@ -92,7 +92,7 @@ def _refinements(case: Case, method: str, wanted: float) -> Iterator[tuple[Run, 
             return
 
 
-def _agreement(case: Case, setting: Accuracy, check: Accuracy, margin: float) -> tuple[Run, float]:
+def agreement(case: Case, setting: Accuracy, check: Accuracy, margin: float) -> tuple[Run, float]:
     """Return the run by one setting, and its error as estimated by the difference from the run by another."""
     if case.code is not None and setting.order_8 and (pair := compared(case, setting, check)) is not None:
         run, apart = pair

@@ -36,7 +36,7 @@ NO_PERCENTAGE = 1e-9
 
 
 # One-sided derivatives with a smaller relative difference count as equal.
-_SAME: Final = 1e-9
+_ONE_SIDED: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class Solved:
         sizes, values = named(slopes), named(self._unscaled(self._active.y))
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
-        differs = bool(np.max(np.abs(up.y - down.y)) > _SAME * np.max(np.abs([up.y, down.y])))
+        differs = bool(np.max(np.abs(up.y - down.y)) > _ONE_SIDED * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
             value=target.value,
@@ -279,7 +279,7 @@ class Solved:
         (rising, falling), (up_step, down_step) = errors, steps
         # If the same limits decide on both sides, the mean is free of the curvature.
         mean = (rising * down_step + falling * up_step) / (up_step + down_step)
-        same = np.allclose(up.y, down.y, rtol=_SAME, atol=0.0)
+        same = np.allclose(up.y, down.y, rtol=_ONE_SIDED, atol=0.0)
         return float(np.max(np.abs(mean if same else np.r_[rising, falling])))
 
     def _solved_at(self, target: _Target, step: float) -> Vector:
@@ -320,7 +320,7 @@ Mask = NDArray[np.bool_]
 
 
 # Scaled margins and multipliers below this count as zero.
-_ZERO: Final = 1e-8
+_VANISHING: Final = 1e-8
 
 
 _FLAT = (
@@ -419,8 +419,8 @@ class ActiveSet:
         self._equal = np.array([side.equality for side in self.sides], dtype=bool)
         self._signs, self._bounds, self._logs = np.array([(one.sign, one.bound, one.log) for one in self.sides]).T
         self._settle(point)
-        self.deciding = self._equal | (self.mu > _ZERO)
-        touching = np.abs(self.slack) <= _ZERO
+        self.deciding = self._equal | (self.mu > _VANISHING)
+        touching = np.abs(self.slack) <= _VANISHING
         # Scaled gradients below this count as zero: a side that no variable changes cannot be touched by a design.
         touching &= np.any(np.abs(self.gradients[:, : self.n]) > 1e-12, axis=1)
         self.weak = np.flatnonzero(touching & ~self.deciding)
@@ -443,7 +443,7 @@ class ActiveSet:
                 break
             self._evaluate(y, mu)
             # An active side that pushes outwards is released; a broken one becomes active.
-            wrong = ~self._equal & np.where(active, mu < -_ZERO, self.slack < -_ZERO)
+            wrong = ~self._equal & np.where(active, mu < -_VANISHING, self.slack < -_VANISHING)
             # The conditions then hold to rounding.
             if not np.any(wrong) and np.max(np.abs(step)) < 1e-12:
                 return

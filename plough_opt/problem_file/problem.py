@@ -22,7 +22,7 @@ from plough_opt.motion.effects import SpeedProfile
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.problem_file.schema import WAVES, ProblemTable, medium_of
+from plough_opt.problem_file.schema import WAVES, ProblemTable
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Wedge
 from plough_opt.soil.soil import Soil, named_soil
 from plough_opt.soil.strength import Spectrum
@@ -235,7 +235,7 @@ class Problem:
             mass=values["scene.frame_mass"] + steel,
             tow_speed=values["scene.tow_speed"],
             effects=self.table.effects.effects(values, self.spectrum, self.course),
-            medium=medium_of(self.table.scene.medium),
+            medium=self.table.scene.medium,
         )
 
     def soil(self, values: Mapping[str, Expression]) -> Soil:
@@ -385,14 +385,9 @@ class Problem:
         def make(changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
             return self.scene(changes), self.values(changes).get("scene.duration")
 
-        return build(
-            make,
-            self._inputs(inputs),
-            self._outputs(outputs),
-            accuracy=self.accuracy,
-            samples=self.table.scene.outputs if samples is None else samples,
-            name=name,
-        )
+        ports, results = self._inputs(inputs), self._outputs(outputs)
+        samples = self.table.scene.outputs if samples is None else samples
+        return build(make, ports, results, accuracy=self.accuracy, samples=samples, name=name)
 
     def _inputs(self, keys: Sequence[str]) -> list[Port]:
         """Return the ports of the inputs with some keys, or of the variables if there are no keys."""
@@ -447,12 +442,7 @@ class Problem:
         return {key: float(x) for key, x in every.items() if x is not None and key not in self.variables}
 
     def optimise(
-        self,
-        progress: Progress | None = None,
-        *,
-        parameters: bool = False,
-        search: Search = "auto",
-        seed: int = 0,
+        self, progress: Progress | None = None, *, parameters: bool = False, search: Search = "auto", seed: int = 0
     ) -> tuple[Optimum, Run]:
         """Return the optimum and its numeric run.
 

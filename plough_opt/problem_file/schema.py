@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import reduce
 from typing import Annotated, Any, Final, Literal, TypeVar, cast, get_args
 
@@ -42,31 +42,30 @@ def medium_of(written: object) -> str | ResistanceLaw:
     Raises:
         InputError: an unknown law or key, or a value that the law refuses; the message continues after the key's name.
     """
-    name = written.get("law") if isinstance(written, Mapping) else written
-    if not isinstance(name, str):
-        wanted = 'a resistance law, such as "plastic", or { law = "mckyes_ali", depth = "0.35 m" }'
-        raise InputError(f"= {shown(written)} must be {wanted}")
-    law_of(name)
-    return _made(LAWS[name], "law", written) if isinstance(written, Mapping) else name
+    if isinstance(written, str):
+        law_of(written)
+        return written
+    return _made(
+        written, "law", LAWS, 'a resistance law, such as "plastic", or { law = "mckyes_ali", depth = "0.35 m" }'
+    )
 
 
-def own_effects_of(written: Sequence[Mapping[str, Any]]) -> tuple[OwnResistance, ...]:
-    """Return user-defined effects with their quantities in SI units.
+def own_effect_of(written: object) -> OwnResistance:
+    """Return a user-defined effect with its quantities in SI units.
 
     Raises:
         InputError: an unknown effect or key, or a value that the effect refuses; the message continues after the key's
             name.
     """
-    for table in written:
-        if "effect" not in table:
-            wanted = 'a list of tables with a name, such as [{ effect = "shank", static = "150 N" }]'
-            raise InputError(f"= {shown(written)} must be {wanted}")
-        check_named("no effect is named {}", table["effect"], OWN_EFFECTS)
-    return tuple(_made(OWN_EFFECTS[table["effect"]], "effect", table) for table in written)
+    return _made(written, "effect", OWN_EFFECTS, 'a table such as { effect = "shank", static = "150 N" }')
 
 
-def _made(kind: type[_Kind], key: str, written: Mapping[str, Any]) -> _Kind:
-    """Return an instance of a class with the quantities of a table; ``key`` is the entry that names the class."""
+def _made(written: object, key: str, kinds: Mapping[str, type[_Kind]], wanted: str) -> _Kind:
+    """Return an instance of the class that a table names under a key, with the quantities of the table."""
+    if not isinstance(written, Mapping) or not isinstance(written.get(key), str):
+        raise InputError(f"= {shown(written)} must be {wanted}")
+    check_named(f"no {key} is named {{}}", written[key], kinds)
+    kind = kinds[written[key]]
     units: dict[str, Any] = {field.name: field.metadata.get("unit") for field in dataclasses.fields(cast(Any, kind))}
     values = {name: value for name, value in written.items() if name != key}
     for name, value in values.items():
@@ -78,16 +77,6 @@ def _made(kind: type[_Kind], key: str, written: Mapping[str, Any]) -> _Kind:
         return kind(**values)
     except TypeError as error:  # a field without a default is missing in the table
         raise InputError(f"= {shown(written)} is incomplete: {error}") from None
-
-
-def _readable_by(read: Callable[[Any], object]) -> AfterValidator:
-    """Return a validator that leaves a value as written, after checking that a function can read it."""
-
-    def checked(written: Any) -> Any:
-        read(written)
-        return written
-
-    return AfterValidator(checked)
 
 
 def describe_media(schema: dict[str, Any]) -> None:
@@ -127,7 +116,7 @@ class SoilTable(Table):
         compaction: a compression test, which decides the density ratio
     """
 
-    name: Annotated[str, _readable_by(named_soil)] | None = None
+    name: Annotated[str, AfterValidator(lambda name: named_soil(name) and name)] | None = None
     adjust: Adjust = "strength factor"
     penetrometer: str | None = None
     depth: str | None = None
@@ -152,14 +141,14 @@ class SceneTable(Table):
         average: average over the run, or shorten it to whole waves
     """
 
-    medium: Annotated[Any, _readable_by(medium_of), Field(json_schema_extra=describe_media)] = "plastic"
+    medium: Annotated[Any, AfterValidator(medium_of), Field(json_schema_extra=describe_media)] = "plastic"
     outputs: Annotated[int, Field(ge=1, le=100_000)] = 400
     average: Literal["run", "whole waves"] = "run"
 
     @property
     def law(self) -> ResistanceLaw:
         """The law of resistance."""
-        return law_of(medium_of(self.medium))
+        return law_of(self.medium)
 
 
 class EffectsTable(Table):
@@ -187,7 +176,7 @@ class EffectsTable(Table):
     entry: bool = Effects.entry
     orbit: Literal["transient", "periodic"] = "transient"
     formulation: Literal["derived", "printed"] = "derived"
-    own: Annotated[list[dict[str, Any]], _readable_by(own_effects_of)] = []
+    own: list[Annotated[Any, AfterValidator(own_effect_of)]] = []
 
     def effects(
         self, values: Mapping[str, Expression], spectrum: Spectrum | None, course: SpeedProfile | None
@@ -216,7 +205,7 @@ class EffectsTable(Table):
             strength_wave=waves[0] if len(waves) == 1 else waves or None,
             random_strength=RandomStrength(**tables[RANDOM]) if RANDOM in tables else spectrum,
             tow_profile=course,
-            own=own_effects_of(self.own),
+            own=tuple(self.own),
         )
 
 
@@ -421,21 +410,15 @@ SceneFile = _with_quantities("SceneFile", SceneTable, "scene")
 StrengthWaveFile = _with_quantities("StrengthWaveFile", Table, wave_table(1))
 RandomStrengthFile = _with_quantities("RandomStrengthFile", RandomStrengthTable, RANDOM)
 EffectsFile = _with_quantities(
-    "EffectsFile",
-    EffectsTable,
-    "effects",
+    "EffectsFile", EffectsTable, "effects",
     random_strength=(RandomStrengthFile | None, None),
     **{name.removeprefix("effects."): (StrengthWaveFile | None, None) for name in WAVES},
-)
+)  # fmt: skip
 # The complete schema, by which problem files are read.
 ProblemFile = _with_quantities(
-    "ProblemFile",
-    ProblemTable,
-    soil=(SoilFile, ...),
-    share=(ShareFile, ShareFile()),
-    scene=(SceneFile, ...),
+    "ProblemFile", ProblemTable, soil=(SoilFile, ...), share=(ShareFile, ShareFile()), scene=(SceneFile, ...),
     effects=(EffectsFile, EffectsFile()),
-)
+)  # fmt: skip
 
 
 def valid_keys(path: tuple[str, ...]) -> list[str]:

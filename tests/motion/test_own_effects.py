@@ -365,7 +365,7 @@ def test_problem_file_names_a_law_with_its_own_quantities():
 
 
 WRONG_MEDIA = [
-    ("{law='mckyes'}", "no resistance law is named 'mckyes'.*mckyes_ali"),
+    ("{law='mckyes'}", "no law is named 'mckyes'.*mckyes_ali"),
     ("{law='mckyes_ali', dept='30 cm'}", "'dept' is not a quantity of McKyesAli.*depth"),
     ("{law='mckyes_ali', depth='30 kg'}", "'depth' = \"30 kg\" has the wrong unit"),
     ("3", "must be a resistance law, such as"),

@@ -9,10 +9,8 @@ from helpers.linear_motion import averages, oscillation
 from helpers.scenes import scene_of
 from helpers.scripts import imported
 from helpers.small_designs import design
-from matplotlib.figure import Figure
 
 import plough_opt as po
-from plough_opt.studies import accuracy
 from plough_opt.studies.accuracy import AccuracyStudy, MethodResult
 
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
@@ -141,24 +139,6 @@ def test_the_front_holds_what_nothing_beats_in_time_and_error():
     assert [entry.setting for entry in study.front] == ["loose", "tight", "fine", "error 1e-08", below[1]]
 
 
-def test_table_frame_and_picture_show_every_entry(tmp_path):
-    study = made(LOOSE, TIGHT, ("rk", "exact", 6e-3, 0.0), DEFAULT)
-    text = str(study.page())
-    for words in ("*  erk, tight", "auto, error 1e-08 (default)", "100 ms", "1e-10", "note: a note"):
-        assert words in text
-    frame = study.to_dataframe()
-    assert [*frame["error of averages"]] == [1e-3, 1e-7, 0.0, 1e-10]
-    axes = Figure().subplots()
-    study.draw(axes)
-    lines = {line.get_label(): line for line in axes.lines}
-    assert [*lines["erk"].get_xdata()] == [1e-3, 2e-3]
-    assert 0.0 < lines["rk"].get_ydata()[0] < 1e-14  # zero has no place on a logarithmic axis
-    assert [*lines["efficient front"].get_xdata()] == [1e-3, 2e-3, 6e-3]
-    assert [*lines["wanted error"].get_ydata()] == [1e-6, 1e-6]
-    study.plot(tmp_path / "study.png")
-    assert (tmp_path / "study.png").read_bytes().startswith(b"\x89PNG")
-
-
 # --- of a design ---
 
 
@@ -184,15 +164,6 @@ def test_searches_are_right_as_often_as_they_find_the_best_well(tmp_path):
     assert study.plot(tmp_path / "chance.svg").axes[0].get_title() == "Two wells"
     # The design keeps its state.
     assert d.solve(search="near").objective == pytest.approx(value, rel=1e-8)
-
-
-def test_a_search_that_takes_too_long_is_the_last(monkeypatch):
-    study = po.study_design(wells()[0], seeds=1, limit=1e-9)
-    assert [entry.setting for entry in study.entries] == ["near"]
-    monkeypatch.setattr(accuracy, "_EFFORTS", ("near", 250))
-    assert len(po.study_design(wells()[0], seeds=1).entries) == 2
-    with pytest.raises(po.InputError, match="seeds = 0"):
-        po.study_design(wells()[0], seeds=0)
 
 
 # --- the script that studies five scenes ---

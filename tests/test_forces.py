@@ -262,14 +262,6 @@ def test_a_soil_from_a_cone_index_has_that_cone_index(adjust, name):
     assert [float(one) for one in back(1.5e6)] == pytest.approx([1.5e6, 1.0], rel=1e-12)
 
 
-def test_the_draft_of_a_share_follows_the_closed_ratio():
-    soil = po.Soil.from_cone_index(2e6, soil=po.named_soil("firm sandy loam"))
-    cone = po.Cone(po.deg(11.0), 0.3)
-    base = math.pi * (0.3 * math.tan(po.deg(11.0))) ** 2
-    ratio = (1 + 0.45 / math.tan(po.deg(11.0))) / (1 + 0.45 / math.tan(po.deg(15.0)))
-    assert po.resistance(cone, soil, 0.0, 0.0) == pytest.approx(2e6 * base * ratio, rel=1e-14)
-
-
 def test_a_strength_factor_scales_the_static_resistance_and_nothing_else():
     soil = po.named_soil("hardpan")
     strong = replace(soil, strength_factor=3.0)

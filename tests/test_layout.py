@@ -84,23 +84,6 @@ def test_heavy_libraries_are_loaded_where_they_are_needed(code):
     assert not HEAVY[code] & {*done.stdout.splitlines()[-1].split()}
 
 
-TESTS = sorted((ROOT / "tests").rglob("*.py"))
-
-
-def test_folders_of_tests_run_alone_and_together():
-    packages = [path.parent for path in TESTS if path.name == "__init__.py"]
-    modules = [path for path in TESTS if path.name != "conftest.py" and not set(path.parents) & set(packages)]
-    helpers = [*packages, *modules]
-    # pytest puts folders of tests on the module path, where of two modules with one name only one could be imported.
-    assert len({path.stem for path in helpers}) == len(helpers)
-    places = {path.stem: path.parent for path in helpers}
-    for source in TESTS:
-        found = set(re.findall(r"^ *(?:from|import) (\w+)", source.read_text(encoding="utf-8"), flags=re.MULTILINE))
-        assert "conftest" not in found, source
-        for name in found & places.keys():
-            assert places[name] in source.parents, (source, name)
-
-
 def test_the_version_and_its_date_are_everywhere_those_of_the_project():
     version = PROJECT["version"]
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")

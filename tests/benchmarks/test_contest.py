@@ -14,7 +14,6 @@ from contest_table import Growth, Row, race, solved_anew
 from helpers.problem_files import SUBSOILER
 from helpers.scenes import R1_RUNS
 from peers import r1
-from scipy import stats
 
 import plough_opt as po
 from plough_opt.app.page import asset
@@ -399,29 +398,6 @@ def test_design(contest, r1_scene, r1_wave):
     _add(contest, f"{what}, requirements", counts, lambda n: lambda: _solved(r1_scene, 2.0, n, **wave))
     _add(contest, f"{what}, seconds simulated", horizons, lambda t: lambda: _solved(r1_scene, t, **wave))
     _add(contest, f"{what}, shares", counts[:-1], lambda n: lambda: _solved(r1_scene, 2.0, shares=n, **wave))
-
-
-def _robust(count):
-    """Build and solve a design over samples of its soil."""
-    field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
-    d = po.Design()
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
-    stiffness = d.variable("stiffness", guess=5e4, lower=1e4, upper=1e6, log=True)
-    effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0)
-
-    def response(soil):
-        scene = po.Scene(soil, po.Wedge(po.deg(35.0), po.deg(15.0), height), stiffness, 40.0, 2.0, effects)
-        run = po.simulate(scene, 2.0)
-        return {"draft": run.mean_draft / 1e3, "rms": run.force_rms / 1e3, "radius": scene.loosened_radius}
-
-    robust = po.Robust(field, response, samples=count)
-    d.minimise(robust.mean_plus("draft", 1.755) + robust.mean_plus("rms", 2.0))
-    robust.require_probability(d, "radius", "radius", 0.95, at_least=0.12)
-    return d.solve(search="local")
-
-
-def test_design_over_soils(contest):
-    _add(contest, "Design over soils built and solved, soils", (16, 64, 256), lambda n: lambda: _robust(n))
 
 
 def _designs(count):

@@ -365,13 +365,6 @@ def test_infinite_intervals_are_valid_json(measured, tmp_path):
     assert again.unidentifiable == fit.unidentifiable
 
 
-def test_pictures(fitted):
-    first, second = fitted.plot().axes
-    assert (first.get_xlabel(), second.get_xlabel()) == ("predicted mean draft [kN]", "tow speed [km/h]")
-    # Every row is a point in every panel.
-    assert [len(axes.containers[0][0].get_xdata()) for axes in (first, second)] == [len(fitted.rows)] * 2
-
-
 # --- predictions of rows held out of a fit: linear regression, 150 synthetic sets, groups, refusals ---
 
 

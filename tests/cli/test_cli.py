@@ -1,7 +1,6 @@
 """The command `plough-opt`: what it prints, writes and imports, exit status, refusals, and never a traceback."""
 
 import contextlib
-import io
 import json
 import math
 import os
@@ -20,13 +19,10 @@ import casadi as ca
 import pytest
 from helpers.commands import call, cells, printed
 from helpers.problem_files import PROBLEMS, REFERENCE, SUBSOILER
-from helpers.swept import until
 
 import plough_opt as po
 from plough_opt.app import commands, terminal
 from plough_opt.app.main import main
-from plough_opt.core import process
-from plough_opt.core.screen import Screen, progress_on
 from plough_opt.problem_file import template
 from plough_opt.studies.sweep.engine import Plan
 
@@ -243,30 +239,6 @@ def test_quiet_leaves_results_alone_and_the_error_stream_empty(tmp_path):
     wrong = call("simulate", "-q", SUBSOILER, "--set", "share.hight=0.3 m")
     assert wrong.status == 2
     assert "share.hight" in wrong.err
-
-
-@pytest.fixture
-def soon(monkeypatch):
-    """Write lines of progress after hundredths of a second."""
-    monkeypatch.setattr(process, "INTERVAL", 0.01)
-
-
-@pytest.mark.usefixtures("soon")
-def test_commands_and_sweeps_say_it(monkeypatch):
-    def long(_):
-        with commands.progress() as told:
-            told("calibrating", 0.5)
-            time.sleep(0.1)
-
-    monkeypatch.setattr(commands, "soils", long)
-    done = call("soils")
-    assert done.status == 0
-    assert "calibrating: 0 s so far\n" in done.err
-    stream = io.StringIO()
-    with progress_on(Screen(file=stream)) as told:
-        told("sweep: 3 of 10 points", 0.3)
-        until(lambda: "3 of 10" in stream.getvalue())
-    assert "sweep: 3 of 10 points: 0 s so far\n" in stream.getvalue()
 
 
 # --- what each command imports before it begins: counted in modules, by a process of its own ---

@@ -45,13 +45,6 @@ def radius(x):
     return x[1] * math.tan(half_angle(x[0])) / math.sqrt(1.0 - R1_SOIL.density_ratio)
 
 
-def angle_for(wanted, height):
-    """Return the wedge angle [rad] at which a share loosens a radius, by equations (7) and (16)."""
-    slope = wanted * math.sqrt(1.0 - R1_SOIL.density_ratio) / height
-    sine = slope / math.hypot(1.0, slope)
-    return math.atan(math.pi * math.cos(CHISEL) ** 2 * sine / (1.0 - sine**2))
-
-
 BY_HAND = {
     "loosened radius": radius,
     "largest half angle": lambda x: half_angle(x[0]),

@@ -24,10 +24,6 @@ def failing(values):
     return {"inverse": 1.0 / values["a"], "half": math.inf if values["a"] == 3.0 else -0.0}
 
 
-def two_names(values):
-    return {"x": 1.0} if values["a"] < 2.0 else {"y": 1.0}
-
-
 def kills_always(_values):
     """Kill this process, as the system does when it needs memory."""
     os.kill(os.getpid(), signal.SIGKILL)

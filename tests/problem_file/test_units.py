@@ -78,22 +78,6 @@ def test_what_is_no_quantity_of_the_kind_is_refused(unit, written, pieces):
     assert [piece for piece in pieces if piece not in str(caught.value)] == []
 
 
-DISPLAYED = [
-    ("m/s", "7.2 km/h", "km/h", 1 / 3.6, 2.5, "9 km/h"),
-    ("N/m", "50 kN/m", "kN/m", 1e3, 123456.0, "123.46 kN/m"),
-    ("", "30 %", "%", 0.01, 0.125, "12.5 %"),
-    ("", 0.3, "", 1.0, 0.25, "0.25"),
-]
-
-
-@pytest.mark.parametrize(("unit", "written", "symbol", "factor", "value", "text"), DISPLAYED)
-def test_results_are_given_in_the_unit_of_the_user(unit, written, symbol, factor, value, text):
-    display = display_of(written, Unit(unit))
-    assert display.symbol == symbol
-    assert display.factor == pytest.approx(factor, rel=1e-12)
-    assert display.text(value) == text
-
-
 WRITTEN_UNITS = [(unit, written.split(" ", 1)[1]) for unit, written, _ in READ if " " in str(written)]
 
 

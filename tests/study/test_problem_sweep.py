@@ -10,7 +10,6 @@ from helpers.refusals import refusals
 
 import plough_opt as po
 from plough_opt.core.units import Unit
-from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.sweep import plan_of
 from plough_opt.studies.sweep import engine
@@ -90,20 +89,6 @@ class TestMany:
             np.testing.assert_allclose(table[name], single[name], rtol=3e-8)
         assert np.max(table["error_estimate"]) < 1e-8
 
-    def test_a_result_over_time_keeps_a_batch_away(self, monkeypatch):
-        monkeypatch.setitem(MEASURES, "last", Measure(Unit("N"), lambda run: run.mount_force[-1]))
-        problem, axes = po.read_problem(SUBSOILER), {"scene.tow_speed": "1..3 m/s:10000"}
-        assert "po.simulate" in plan_of(problem, axes).how
-        with pytest.raises(po.InputError, match="'last' needs the motion over time"):
-            plan_of(problem, axes, method="batch")
-
-    def test_a_chaotic_motion_that_misses_the_wanted_error_is_noted(self, inline):
-        share = ("share.wedge_angle=0.639427778 rad", "share.height=0.482322562 m")
-        problem = po.read_problem(REFERENCE, ("scene.duration=60 s", "accuracy.error=1e-4", *share))
-        found = po.sweep(problem, {"scene.stiffness": [8104.16376, 5e4]}, method="batch", executor=inline)
-        assert (found.column("error_estimate") > 1e-4).tolist() == [True, False]
-        assert "at 1 of 2 points: the wanted relative error 1.0e-04 was not reached" in found.notes
-
     def test_a_batch_is_used_for_many_points_of_a_scene_that_it_supports(self, problem):
         axes = {"soil.cohesion": po.Range(1e4, 2e4, 100), "scene.tow_speed": po.Range(1.0, 2.0, 100)}
         assert "po.Batch" in plan_of(problem, axes).how
@@ -127,14 +112,10 @@ class TestMany:
 
 TEXTS = [
     ("5..45 kPa:3", "Pa", (5e3, 25e3, 45e3)),
-    ("5 kPa .. 45 kPa : 3", "Pa", (5e3, 25e3, 45e3)),
     ("10..1000 kN/m:3 log", "N/m", (1e4, 1e5, 1e6)),
-    ("5, 10, 2 kPa", "Pa", (5e3, 1e4, 2e3)),
     ("500 g..2 kg:3", "kg", (0.5, 1.25, 2.0)),
-    ("-1..1:3", "", (-1.0, 0.0, 1.0)),
     ("20..40 deg:2", "rad", (20 * math.pi / 180, 40 * math.pi / 180)),
     ("1..7 km/h:61", "m/s", tuple(Unit("m/s").parse(f"{1 + k / 10:.1f} km/h") for k in range(61))),
-    ("5..45 kPa", "Pa", po.Range(5e3, 45e3)),
     ("5..45 kPa log", "Pa", po.Range(5e3, 45e3, log=True)),
 ]
 
@@ -153,26 +134,15 @@ test_invalid_texts_are_refused = refusals(
     po.InputError,
     (lambda: axis("5..5 kPa:9"), "lower 5 is not below upper 5"),
     (lambda: axis("5..45:9"), '"5" has no unit'),
-    (lambda: axis("5..45 kpa:9"), "unknown unit 'kpa'"),
-    (lambda: axis("5..45 kPa:1"), "number of values = 1"),
-    (lambda: axis("5..45 kPa:few"), '":few" is not a number of values'),
     (lambda: axis("5..45 kPa"), "has no number of values"),
-    (lambda: axis("5..45 kPa:9", True), "does not use"),
-    (lambda: axis("5, 45 kPa", True), "is not a range"),
     (lambda: axis("5 kPa"), "is one value"),
     (lambda: axis("0..5 kPa:3 log"), "needs a lower bound above 0"),
-    (lambda: axis("..5 kPa:3"), "is not a range"),
     (lambda: axis("5, 5 kPa"), "same value twice"),
-    (lambda: axis("5..1e999 kPa:3"), "must be finite"),
 )
 REFUSED = [
-    (3, {}, "over = 3 must be a dictionary"),
     ({"soil.cohesion": [-1e4, 2e4]}, {}, "cohesion = -10000 Pa"),
-    ({"effects.breakaway": [1.0, 2.0]}, {}, 'belongs to contact = "stick_slip"'),
     ({"soil.cohesion": [1e4, 2e4]}, {"what": "optimize"}, "did you mean 'optimise'"),
-    ({"soil.cohesion": [1e4, 2e4]}, {"method": "many"}, "method = 'many' is unknown"),
     ({"soil.cohesion": [1e4, 2e4]}, {"what": "optimise", "method": "batch"}, "a batch cannot optimise"),
-    ({"soil.cohesion": [1e4, 2e4]}, {"units": {}}, "a problem file has its own"),
     (dict(zip(BOX, ([0.4, 0.5], [0.2, 0.3], [5e4, 6e4]), strict=True)), {"what": "optimise"}, "variable is fixed"),
 ]
 

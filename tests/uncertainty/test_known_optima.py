@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-import trimesh
 from helpers.commands import call, printed
 from helpers.differences import check_derivatives
 from helpers.problem_files import PROBLEMS
@@ -199,26 +198,6 @@ def test_the_command_saves_both_optima_and_every_check(command, tmp_path):
     }  # fmt: skip
 
 
-def test_a_part_is_that_of_the_robust_design(found, monkeypatch, tmp_path):
-    monkeypatch.setattr(uncertain, "optimise_robust", lambda *_: found)
-    printed("export", FILE, *SET, "--to", "stl", "--output", tmp_path / "a.stl")
-    volume = trimesh.load_mesh(tmp_path / "a.stl").volume
-    assert volume == pytest.approx(1e9 * found.best.run.scene.share.mesh().volume, rel=1e-6)  # in mm, single precision
-
-
-def test_tables_show_the_soil_both_designs_and_the_fresh_soils(found):
-    check = _check(found.fresh)
-    interval = f" {100.0 * check.low:.2f} % to {100.0 * check.high:.2f} % "
-    assert all(text in str(found) for text in ("Uncertain soil", "Robust and nominal design", interval, "8 soils"))
-    # With a second optimum, and the one check that both designs stand.
-    (one,) = found.best.local_optima
-    best = replace(found.best, local_optima=(one, replace(one, objective=7.654321)))
-    confirmed = [replace(own, checks=own.checks[:1]) for own in (found.fresh, found.nominal_fresh)]
-    other = str(replace(found, best=best, fresh=confirmed[0], nominal_fresh=confirmed[1]))
-    assert re.search(rf"All robust optima found\n.*\n.* {one.objective:.6g} .* m\n.* 7\.65432 .* m\n", other)
-    assert "In the robust design fresh soils confirm every measure." in other
-
-
 def _check(verification, result="loosened_radius"):
     return next(check for check in verification.checks if check.result == result)
 
@@ -252,23 +231,6 @@ def test_the_robust_design_loosens_more_soils_widely_enough():
     objectives = [optimum.objective for optimum in found.best.local_optima]
     assert objectives == sorted(objectives)
     assert len(objectives) >= 2
-
-
-def test_picture_shows_both_designs_their_means_and_the_limit(found, tmp_path):
-    shown = ("mean_draft", 1e3, "kN"), ("loosened_radius", 1.0, "m")
-    for axes, (name, factor, unit) in zip(found.plot(tmp_path / "found.svg").axes, shown, strict=False):
-        texts = [text.get_text() for text in axes.get_legend().get_texts()]
-        for text, kind, own in zip(texts, ("nominal", "robust"), (found.nominal_fresh, found.fresh), strict=False):
-            assert text.startswith(f"{kind} design: mean {np.mean(own.values[name]) / factor:.4g} {unit}")
-    assert axes.get_xlabel() == "loosened radius [m]"
-    assert f"{100.0 * np.mean(found.fresh.values['loosened_radius'] >= 0.15):.1f} % within the limit" in texts[1]
-    assert texts[2] == "limit 0.15 m"
-    assert "dashed: means" in (tmp_path / "found.svg").read_text(encoding="utf-8")
-
-
-def test_nominal_commands_take_the_file_as_it_is():
-    assert "Uncertain: soil.cohesion, soil.friction_angle, soil.density_ratio" in printed("check", FILE)
-    assert "loosened radius" in printed("simulate", FILE)
 
 
 def test_overrides_reach_a_distribution():

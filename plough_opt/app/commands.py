@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import os
 import shlex
 import webbrowser
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,24 +52,20 @@ if TYPE_CHECKING:
 _DESIGNS: Final = {
     "best": "the best design", "catalogue": "the best design from the catalogue", "guess": "the guesses",
 }  # fmt: skip
-_FORMAT_OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in own.options}))
 
 
 def init(options: argparse.Namespace) -> None:
-    """Write the template to a new file in an existing folder, or print the JSON schema of problem files."""
+    """Write the template to a new file, or print the JSON schema of problem files."""
     if options.schema:
         print(json_text(file_schema()))
         return
     if options.file is None:
         raise InputError("init needs the name of the new file, or --schema")
-    if not Path(options.file).parent.is_dir():
-        raise InputError(f"'{options.file}' cannot be written: create its folder first, or choose another place")
     path = write_new(options.file, "problem file", template())
     if options.json:
         print(json_text({"wrote": [str(path)]}))
-        return
-    line = f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}"
-    console().print(line, soft_wrap=True)
+    else:
+        console().print(f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}", soft_wrap=True)
 
 
 def soils(options: argparse.Namespace) -> None:
@@ -199,19 +196,14 @@ def explore(options: argparse.Namespace) -> None:
 
 def _cached(file: str) -> Path:
     """Return the path of a file's page in the user's cache folder."""
-    digest = hashlib.sha256(str(Path(file).resolve()).encode(errors="surrogateescape")).hexdigest()[:16]
-    try:
-        return cache_folder() / "pages" / f"{Path(file).stem}-{digest}.html"
-    except (OSError, RuntimeError) as error:
-        raise InputError(f"there is no cache folder for the page ({error}): give its path by -o FILE.html") from None
+    digest = hashlib.sha256(os.path.realpath(file).encode(errors="surrogateescape")).hexdigest()[:16]
+    return cache_folder() / "pages" / f"{Path(file).stem}-{digest}.html"
 
 
 def sweep(options: argparse.Namespace) -> None:
     """Simulate or optimise a file at every point of a grid or a sample; resume an interrupted sweep."""
     from plough_opt.problem_file.sweep import plan_of  # the engine of sweeps is slow to import
 
-    if options.workers is not None and options.workers < 1:
-        raise InputError(f"--workers {options.workers}: a sweep needs at least one")
     if options.scheduler is not None and options.workers is not None:
         raise InputError("--workers start on this machine, but --scheduler has its own: remove one of the two")
     if options.scheduler is not None:
@@ -220,18 +212,14 @@ def sweep(options: argparse.Namespace) -> None:
     problem = read(options)
     what: What = "optimise" if options.optimise else "simulate"
     plan = plan_of(problem, over, what, options.method, options.samples, options.seed)
-    notes = list(plan.notes)
-    if options.samples is not None and options.samples & (options.samples - 1):
-        notes.append(f"{options.samples} samples are not a power of two: a Sobol sample is balanced at 64, 128, ...")
-    for note in notes:
+    for note in plan.notes:
         LOG.info("note: %s", note)
-    file = options.csv
-    if options.csv is None or not options.csv.lower().endswith(".csv"):  # so that the same command goes on
+    file = options.csv or ""
+    if not file.lower().endswith(".csv"):  # so that the same command goes on
         digest = hashlib.sha256(plan.question.encode(errors="surrogatepass")).hexdigest()[:8]
         file = f"{Path(options.file).stem}-{digest}.sweep.csv"
     with _executor(options.scheduler) as (executor, workers):
-        hands = workers or options.workers
-        swept = plan.run(file=file, executor=executor, workers=hands, progress=not quiet())
+        swept = plan.run(file=file, executor=executor, workers=workers or options.workers, progress=not quiet())
     give(options, swept.page(), swept.to_json, swept.plot, swept.to_dataframe, swept.to_csv)
     if swept.failed == len(swept):
         raise NotConverged("every point failed; the reasons are in the table", "failed")
@@ -273,28 +261,26 @@ def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None
 
 def export(options: argparse.Namespace) -> None:
     """Write a file's scene for another tool; write nothing if anything fails."""
-    chosen = FORMATS[options.to]
-    given = _options(options)
+    settings = _settings(options)
     problem = read(options)
     values: dict[str, Any] = problem.values()
-    name = options.name or "share"
     bought = any(variable.catalogue is not None for variable in problem.variables.values())
     if options.at == "catalogue" and not bought:
         raise InputError(f"--at catalogue: no variable of {problem.name} has a catalogue or a step: add one")
-    usual = "guess" if not (problem.variables and problem.table.minimise) else "catalogue" if bought else "best"
-    at = options.at or usual
+    best = "catalogue" if bought else "best"
+    at = options.at or (best if problem.variables and problem.table.minimise else "guess")
     request = Request(
         path=options.output,
-        name=name,
-        component=partial(_component, problem, options, name),
+        name=options.name or "share",
+        component=partial(_component, problem, options),
         scene=problem.scene(),
         best=None if at == "guess" else partial(_best, problem, bought=at == "catalogue"),
         design=_DESIGNS[at] if problem.variables else "the file",
         steel_density=values["scene.steel_density"],
         duration=values.get("scene.duration"),
-        options=given,
+        options=settings,
     )
-    said, after = chosen.write(request)
+    said, after = FORMATS[options.to].write(request)
     paths = [Path(path) for path in (options.output, options.description) if path is not None]
     if options.json:
         print(json_text({"wrote": [*map(str, paths)], "says": said, "next": after}))
@@ -307,54 +293,48 @@ def export(options: argparse.Namespace) -> None:
         console().print(f"next: {after}", soft_wrap=True)
 
 
-def _component(problem: Problem, options: argparse.Namespace, name: str) -> Component:
-    with progress() as notify:
-        notify("building the component", 0.0)
-        names = (_names("inputs", options.inputs), _names("outputs", options.outputs))
-        return problem.component(*names, name=name)
-
-
-def _options(options: argparse.Namespace) -> dict[str, Any]:
+def _settings(options: argparse.Namespace) -> dict[str, Any]:
     """Return the format's options; raise InputError for other options and for a path that cannot be written."""
     chosen = FORMATS[options.to]
     chosen.check(options.output)
-    for name in _FORMAT_OPTIONS:
-        if getattr(options, name) and name not in chosen.options:
+    for name in sorted({name for own in FORMATS.values() for name in own.options} - {*chosen.options}):
+        if getattr(options, name):
             others = ", ".join(other for other, own in FORMATS.items() if name in own.options)
             raise InputError(f"--{name} cannot be used with --to {options.to}, only with {others}")
     if options.description is not None:
         check_file(options.description, "description", ".json")
-    given = {name: getattr(options, name) for name in chosen.options}
+    settings = {name: getattr(options, name) for name in chosen.options}
     for name, unit in {"opening": "rad", "thickness": "m"}.items():
-        if given.get(name) is not None:
+        if settings.get(name) is not None:
             with about(f"--{name}"):
-                given[name] = Unit(unit).parse(given[name])
-    return given
+                settings[name] = Unit(unit).parse(settings[name])
+    return settings
 
 
-def _names(option: str, written: str | None) -> tuple[str, ...]:
-    """Return the names in a comma-separated list; none if the option is not given."""
-    if written is None:
-        return ()
-    names = tuple(part.strip() for part in written.split(","))
-    if not all(names):
-        raise InputError(f"--{option} '{written}' has an empty name: use single commas, as share.height,soil.cohesion")
-    return names
+def _component(problem: Problem, options: argparse.Namespace) -> Component:
+    """Return the component of the named inputs and outputs."""
+    with progress() as notify:
+        notify("building the component", 0.0)
+        inputs, outputs = (
+            () if names is None else tuple(map(str.strip, names.split(",")))
+            for names in (options.inputs, options.outputs)
+        )
+        return problem.component(inputs, outputs, name=options.name or "share")
 
 
 def _best(problem: Problem, *, bought: bool) -> Scene:
     """Return the scene of the best design, from the catalogue or not, or of the robust one if the soil is uncertain."""
     with progress() as notify:
-        if problem.table.uncertain is None:
-            best, run = problem.optimise(notify)
-            if not bought:
-                return run.scene
-            if best.bought is None:
-                raise NotConverged(f"{best.warnings[-1]}; --at best exports the best design without it", "catalogue")
-            return problem.scene(best.bought.variables)
-        from plough_opt.problem_file.uncertain import optimise_robust  # scipy.stats is slow to import
+        if problem.table.uncertain is not None:
+            from plough_opt.problem_file.uncertain import optimise_robust  # scipy.stats is slow to import
 
-        return problem.scene(optimise_robust(problem, notify).best.variables)
+            return problem.scene(optimise_robust(problem, notify).best.variables)
+        best, run = problem.optimise(notify)
+    if not bought:
+        return run.scene
+    if best.bought is None:
+        raise NotConverged(f"{best.warnings[-1]}; --at best exports the best design without it", "catalogue")
+    return problem.scene(best.bought.variables)
 
 
 def show(options: argparse.Namespace) -> None:
@@ -372,14 +352,14 @@ def show(options: argparse.Namespace) -> None:
         swept = Sweep.load(path)
         give(options, swept.page(), swept.to_json, swept.plot, swept.to_dataframe, swept.to_csv)
         return
-    found = load(path)
-    origin: Origin = getattr(found, "origin", Origin())
+    saved = load(path)
+    origin: Origin = getattr(saved, "origin", Origin())
     if options.problem:
         print(printable(origin.problem()))
-    else:
-        give(options, found.shown_page(), found.to_json, found.plot, found.to_dataframe)
-        for line in () if options.json else origin.lines(found.made_by):
-            console().print(line, soft_wrap=True)
+        return
+    give(options, saved.shown_page(), saved.to_json, saved.plot, saved.to_dataframe)
+    for line in () if options.json else origin.lines(saved.made_by):
+        console().print(line, soft_wrap=True)
 
 
 def _compare(options: argparse.Namespace) -> None:
@@ -389,74 +369,80 @@ def _compare(options: argparse.Namespace) -> None:
     if options.problem:
         raise InputError("--problem prints the file of one result: name one")
     names = [Path(path).name for path in options.file]
-    saved = {path if names.count(name) > 1 else name: load(path)
-             for path, name in zip(options.file, names, strict=True)}  # fmt: skip
-    designs = {name: best for name, result in saved.items()
-               if isinstance(best := getattr(result, "best", result), LocalOptimum)}  # fmt: skip
-    runs = {name: run for name, result in saved.items()
-            if isinstance(run := getattr(designs.get(name, result), "run", result), Run | Machine)}  # fmt: skip
-    if missing := [name for name in saved if name not in runs and name not in designs]:
-        raise InputError(f"'{missing[0]}' contains neither a design nor a run: name results of optimise or simulate")
-    table: dict[str, dict[str, tuple[float, Display]]] = {}  # quantity -> result -> value and its unit
-    for name in saved:
+    paths = {path if names.count(name) > 1 else name: path for path, name in zip(options.file, names, strict=True)}
+    designs: dict[str, LocalOptimum] = {}
+    runs: dict[str, Run | Machine] = {}
+    notes = []
+    for name, path in paths.items():
+        saved = load(path)
+        best = getattr(saved, "best", saved)
+        run = getattr(best, "run", best)
+        designs |= {name: best} if isinstance(best, LocalOptimum) else {}
+        runs |= {name: run} if isinstance(run, Run | Machine) else {}
+        if not (name in designs or name in runs):
+            raise InputError(f"'{name}' contains neither a design nor a run: name results of optimise or simulate")
+        if origin := getattr(saved, "origin", None):
+            notes.append(f"{name}: {origin.file}, changed by --set: {' '.join(origin.overrides) or 'nothing'}")
+    rows: dict[str, dict[str, tuple[float, Display]]] = {}  # quantity -> result -> value and its unit
+    for name in paths:
         for key, value, display in _numbers(designs.get(name), runs.get(name)):
-            table.setdefault(key, {})[name] = value, display
-    origins = {name: result.origin for name, result in saved.items() if hasattr(result, "origin")}
-    notes = (f"{name}: {origin.file}, changed by --set: {' '.join(origin.overrides) or 'nothing'}"
-             for name, origin in origins.items())  # fmt: skip
-    page = Page(f"{len(saved)} results side by side", (_side_by_side(table, [*saved], designs), *notes))
-    plain = {name: {key: own[name][0] for key, own in table.items() if name in own} for name in saved}
-    columns = {name: [plain[name].get(key) for key in table] for name in saved}
+            rows.setdefault(key, {})[name] = value, display
+    plain = {name: {key: row[name][0] for key, row in rows.items() if name in row} for name in paths}
+    columns = {name: [own.get(key) for key in rows] for name, own in plain.items()}
     parts = {f"{name} {share}".rstrip(): part for name, run in runs.items() for share, part in _shares(run).items()}
+    page = Page(f"{len(paths)} results side by side", (_side_by_side(rows, [*paths], designs), *notes))
     plot = partial(drawn, "plot_designs", designs) if designs else partial(drawn, "plot_runs", parts)
-    give(options, page, lambda: json_text(plain), plot, lambda: data_frame({"quantity": [*table], **columns}, {}))
+    give(options, page, lambda: json_text(plain), plot, lambda: data_frame({"quantity": [*rows], **columns}, {}))
 
 
-def _shares(run: Run | Machine) -> Mapping[str, Run]:
+def _shares(run: Run | Machine | None) -> Mapping[str, Run]:
     """Return share -> run, with "" for an unnamed share."""
-    return run.runs if isinstance(run, Machine) else {"": run}
+    return run.runs if isinstance(run, Machine) else {} if run is None else {"": run}
+
+
+# Results set side by side, by their unit.
+_SIDE_BY_SIDE: Final = {
+    "mean_draft": "N", "force_rms": "N", "peak_force": "N", "tow_power": "W",
+    "mean_deflection": "m", "displacement_rms": "m", "peak_deflection": "m",
+}  # fmt: skip
 
 
 def _numbers(design: LocalOptimum | None, run: Run | Machine | None) -> Iterator[tuple[str, float, Display]]:
     """Yield name, value in SI and unit of quantities, objective, variables, requirements and results."""
-    results = []
-    for share, part in ({} if run is None else _shares(run)).items():
-        before = f"{share}." if share else ""
+    shares = {f"{share}." if share else "": part for share, part in _shares(run).items()}
+    for before, part in shares.items():
         for name, value in quantities_of(part.scene).items():
             if value is not None:
                 yield before + name, float(value), part.origin.display(name, EVERY[name].unit, float(value))
-        for unit, names in {"N": ("mean_draft", "force_rms", "peak_force"), "W": ("tow_power",),
-                            "m": ("mean_deflection", "displacement_rms", "peak_deflection")}.items():  # fmt: skip
-            own = {name: float(getattr(part, name)) for name in names}
-            results += [(before + name, value, part.origin.common(unit, own)) for name, value in own.items()]
     if design is not None:
         yield "objective", design.objective, Display("", 1.0)
         yield from ((limit.name, limit.value, limit.shown) for limit in design.limits)
-    yield from results
+    for before, part in shares.items():
+        for name, unit in _SIDE_BY_SIDE.items():
+            alike = {other: float(getattr(part, other)) for other, its in _SIDE_BY_SIDE.items() if its == unit}
+            yield before + name, alike[name], part.origin.common(unit, alike)
 
 
 def _side_by_side(
-    table: Mapping[str, Mapping[str, tuple[float, Display]]], names: list[str], designs: Mapping[str, LocalOptimum]
+    rows: Mapping[str, Mapping[str, tuple[float, Display]]], names: list[str], designs: Mapping[str, LocalOptimum]
 ) -> Grid:
     """Return a row for the objective, each limit, and what else differs; a row has the unit of the first result."""
     grid = Grid.of("", "", *names, "difference" if len(names) == 2 else "largest difference")
     designed = {"objective", *(limit.name for design in designs.values() for limit in design.limits)}
-    for key, own in table.items():
-        values = [own[name][0] for name in names if name in own]
+    for key, row in rows.items():
+        values = [value for value, _ in row.values()]
         if len(values) == len(names) and len({*values}) == 1 and key not in designed:
             continue
-        display = next(iter(own.values()))[1]
+        display = next(iter(row.values()))[1]
         digits = OBJECTIVE_DIGITS if key == "objective" else RESULT_DIGITS
-        stars = {name: " *" * (name in designs and key in designs[name].active) for name in names}
-        texts = [f"{display.text(own[name][0], digits)}{stars[name]}" if name in own else "" for name in names]
+        texts = {name: display.text(value, digits) for name, (value, _) in row.items()}
+        texts |= {name: f"{texts[name]} *" for name, design in designs.items() if key in design.active}
         change = values[-1] - values[0] if len(names) == 2 else max(values) - min(values)
-        if len(values) < 2:
-            difference = ""
-        elif abs(change) <= 1e-9 * max(map(abs, values)):
-            difference = "0 %"
+        if abs(change) <= 1e-9 * max(map(abs, values)):
+            difference = "0 %" if len(values) > 1 else ""
         else:
             difference = f"{100.0 * change / abs(values[0]):+.3g} %" if values[0] else display.text(change, 3)
-        grid.row(called(key), *texts, difference)
+        grid.row(called(key), *(texts.get(name, "") for name in names), difference)
     grid.caption = "* this limit decides the design" if any("*" in cell for row in grid.rows for cell in row) else ""
     return grid
 
@@ -478,21 +464,21 @@ def calibrate(options: argparse.Namespace) -> None:
     unknown = _unknowns(options.unknown)
     if unknown is None and not problem.variables:
         raise InputError(f'{problem.name}: add a table [variables], or --unknown soil.cohesion="1..80 kPa"')
-    _note_guesses(problem, unknown, data)
+    free = {*(unknown or problem.variables), *(key for measured in data for key in measured.conditions)}
+    if left := [key for key in problem.variables if key not in free]:
+        LOG.info("note: variables of the file fixed at their guesses: %s", ", ".join(left))
     data += map(_known, options.known)
     with progress() as notify:
         notify("calibrating", 0.0)
         fit = run(problem, data, unknown, loss=options.loss, errors=options.errors)
         fit = replace(fit, origin=fit.origin.with_data(options.data), level=options.level)
         notify("intervals", 0.5)
-        held = _held_out(fit, options) if options.hold_out is not None else None
-        text = fit.to_json() if options.json or options.output is not None else ""
-        if held is not None and text:
+        page, text, plot = fit.page(), fit.to_json(), fit.plot
+        if options.hold_out is not None:
+            held = _held_out(fit, options)
+            page, plot = replace(page, parts=(*page.parts, held.words())), held.plot
             text = json_text(json.loads(text) | {"held_out": json.loads(held.to_json())})
-        page = fit.page()
-    if held is not None:
-        page = replace(page, parts=(*page.parts, held.words()))
-    give(options, page, lambda: text, fit.plot if held is None else held.plot, fit.to_dataframe)
+    give(options, page, lambda: text, plot, fit.to_dataframe)
 
 
 def _held_out(fit: Fit, options: argparse.Namespace) -> Fit:
@@ -507,21 +493,13 @@ def _held_out(fit: Fit, options: argparse.Namespace) -> Fit:
 
 def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:
     """Return key -> (lower, upper) as the command line gives them, or None."""
-    found: dict[str, tuple[str, str]] = {}
+    bounds: dict[str, tuple[str, str]] = {}
     for text in written:
-        key, *bounds = _split("--unknown", text, ("..",), 'soil.cohesion="1..80 kPa"')
-        if key in found:
+        key, *ends = _split("--unknown", text, ("..",), 'soil.cohesion="1..80 kPa"')
+        if key in bounds:
             raise InputError(f"--unknown {text}: '{key}' is given twice: remove one")
-        found[key] = bounds[0], bounds[1]
-    return found or None
-
-
-def _note_guesses(problem: Problem, unknown: Mapping[str, object] | None, data: Sequence[Measurements]) -> None:
-    """Log which variables of the file are neither unknown nor measured, and so are fixed at their guesses."""
-    columns = {key for m in data for key in m.conditions}
-    left = [] if unknown is None else [key for key in problem.variables if key not in unknown and key not in columns]
-    if left:
-        LOG.info("note: variables of the file fixed at their guesses: %s", ", ".join(left))
+        bounds[key] = ends[0], ends[1]
+    return bounds or None
 
 
 def _known(text: str) -> Measurements:

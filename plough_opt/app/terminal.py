@@ -13,8 +13,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
-from plough_opt.core.errors import InputError, short
-from plough_opt.core.files import check_file, check_format, save_figure, write_file
+from plough_opt.core.errors import InputError
+from plough_opt.core.files import check_file, check_format, check_writable, save_figure, write_file
 from plough_opt.core.process import optional
 from plough_opt.core.screen import Screen, progress_on
 
@@ -66,10 +66,6 @@ def quiet() -> bool:
     return not LOG.isEnabledFor(logging.INFO)
 
 
-# Options that name a file to be written.
-_OUTPUT_FILES = ("plot", "csv", "output", "description")
-
-
 def read(options: argparse.Namespace) -> Problem:
     """Return the problem file, after checking before any computation that all outputs can be written.
 
@@ -85,14 +81,6 @@ def read(options: argparse.Namespace) -> Problem:
     return problem
 
 
-def _check_matplotlib() -> None:
-    """Raise InputError if matplotlib cannot be imported, for example because $MPLBACKEND is unknown."""
-    try:
-        import matplotlib  # noqa: F401
-    except ValueError as error:
-        raise InputError(f"--plot: matplotlib cannot start: {short(str(error), 100)}: correct $MPLBACKEND") from None
-
-
 def check_outputs(options: argparse.Namespace) -> None:
     """Check the paths of all output files.
 
@@ -100,43 +88,28 @@ def check_outputs(options: argparse.Namespace) -> None:
         InputError: an output is an input or another output, cannot be written, or is a picture of an unknown format.
     """
     if getattr(options, "plot", None) is not None:
-        _check_matplotlib()
         check_format(options.plot)
     if (table := getattr(options, "csv", None)) is not None:
-        for name in (["pandas"] if options.by_pandas else []) + (["pandas", "openpyxl"] if _is_workbook(table) else []):
+        own = options.function in ("tradeoff", "sweep")  # which write CSV without pandas
+        for name in ["pandas", "openpyxl"] if _is_workbook(table) else [] if own else ["pandas"]:
             optional(name)
+        if Path(table).suffix:
+            check_file(table, "table", ".csv", ".xlsx")
     file = getattr(options, "file", [])
     inputs = dict.fromkeys(file, "an input file") if isinstance(file, list) else {file: "the problem file"}
-    taken = {_place(path): what for path, what in inputs.items()}
-    taken |= {_place(data): "a data file" for data in getattr(options, "data", ())}
-    for name in _OUTPUT_FILES:
-        if (written := getattr(options, name, None)) is None:
+    inputs |= dict.fromkeys(getattr(options, "data", ()), "a data file")
+    taken = {os.path.realpath(path): what for path, what in inputs.items()}
+    for name in ("plot", "csv", "output", "description"):
+        if (path := getattr(options, name, None)) is None:
             continue
-        if written == "-":
+        if path == "-":
             raise InputError(f"--{name} - would write a file of this name: name a file; --json prints the result")
-        place = _place(written)
-        if place.is_dir() and not hasattr(options, "to"):  # an export may be a folder
-            raise InputError(f"--{name} '{written}' is a folder: name a file in it")
-        if place.is_symlink():  # every other link is resolved
-            raise InputError(f"--{name} '{written}' cannot be written: the link leads in a circle")
+        place = os.path.realpath(path)
         if other := taken.get(place):
-            raise InputError(f"--{name} '{written}' is {other}, which it would overwrite: name another file")
+            raise InputError(f"--{name} '{path}' is {other}, which it would overwrite: name another file")
         taken[place] = f"also the file of --{name}"
-        if name == "csv" and place.suffix:
-            check_file(written, "table", ".csv", ".xlsx")
-        around = next(folder for folder in (place.parent, *place.parents) if folder.exists())
-        if not around.is_dir():
-            raise InputError(f"--{name} '{written}' cannot be written: '{around}' is not a folder")
-        # An existing file is replaced by a new one, so its folder must be writable too.
-        if not os.access(around, os.W_OK) or (place.is_file() and not os.access(place, os.W_OK)):
-            raise InputError(f"--{name} '{written}' cannot be written: permission denied")
-
-
-def _place(path: str) -> Path:
-    """Return the absolute path with links resolved; unlike `Path.resolve`, do not fail on circular links."""
-    if "\0" in path:
-        raise InputError(f"{path!r} cannot be a path: it contains a null character")
-    return Path(os.path.realpath(path))
+        if not (hasattr(options, "to") and Path(path).is_dir()):  # an export may be a folder
+            check_writable(path, f"file of --{name}")
 
 
 _interrupted = threading.Event()
@@ -217,8 +190,6 @@ def give(
     """
     from plough_opt.core.tables import write_frame
 
-    if plot is None and getattr(options, "plot", None) is not None:
-        raise InputError("--plot: this result has none: remove the option")
     if options.json:
         print(to_json())
     else:

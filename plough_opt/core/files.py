@@ -122,6 +122,7 @@ def write_files(files: Mapping[Path, Content], kind: str) -> None:
                     _fill(stream, content)
                 continue
             _check_place(place)
+            place.parent.mkdir(parents=True, exist_ok=True)
             temporary = place.with_name(f".{place.name[:_LONGEST_STEM]}.{secrets.token_hex(4)}")
             moves[temporary] = place
             with temporary.open("xb") as file:
@@ -139,18 +140,26 @@ def write_files(files: Mapping[Path, Content], kind: str) -> None:
             temporary.unlink(missing_ok=True)
 
 
+def check_writable(path: str | Path, kind: str) -> None:
+    """Raise InputError if a file could not be written, as `write_file` would."""
+    try:
+        _check_place(Path(os.path.realpath(path)))
+    except OSError as error:
+        raise _write_error(kind, Path(path), error) from None
+
+
 def _check_place(place: Path) -> None:
-    """Make the folder of a file; raise OSError if the file is a folder or read-only, or its links lead in a circle."""
+    """Raise OSError if a place is a folder, read-only or in no folder, or if its links lead in a circle."""
     if place.is_symlink():
         raise OSError(0, "the link leads in a circle")
     if place.is_dir():
         raise IsADirectoryError(0, "it is a folder")
-    if place.exists() and not os.access(place, os.W_OK):
+    around = next(folder for folder in place.parents if folder.exists())
+    if not around.is_dir():
+        raise NotADirectoryError(0, f"'{around}' is not a folder")
+    # An existing file is replaced by a new one, so its folder must be writable too.
+    if not os.access(around, os.W_OK) or (place.exists() and not os.access(place, os.W_OK)):
         raise PermissionError(0, "permission denied")
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise NotADirectoryError(0, f"'{place.parent}' is not a folder") from None
 
 
 def _fill(file: IO[bytes], content: Content) -> None:
@@ -186,7 +195,8 @@ def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:
         InputError: the folder exists already or cannot be written.
     """
     try:
-        _check_place(target.parent / "new")
+        _check_place(Path(os.path.realpath(target.parent / "new")))
+        target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{target.name[:_LONGEST_STEM]}.", dir=target.parent) as scratch:
             # A subfolder has the usual permissions; only the user can read what `tempfile` creates.
             inner = Path(scratch) / "made"

@@ -136,7 +136,7 @@ def test_a_sweep_of_one_quantity_is_drawn_in_one_colour(inline):
 def test_a_wedge_field_shows_both_stresses_around_the_body():
     figure = plots.plot_wedge_field([(0.0, 0.0), (0.1, 0.02), (0.2, 0.02)], po.named_soil("serozem"), 2.0)
     labels = " ".join(axes.get_ylabel() for axes in figure.axes)
-    assert labels.count("sigma_{yy}") == labels.count("sigma_{xy}") == 1
+    assert labels.count("σ_yy") == labels.count("σ_xy") == 1
     for axes in figure.axes[:2]:
         assert axes.get_aspect() == 1.0
         assert axes.get_xlim()[0] < 0.0 < 0.2 < axes.get_xlim()[1]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from plough_opt.app.page import motion, rendered
-from plough_opt.app.panels import LIMIT, SHARE, SOIL, STRUT, changing, deflection_of, draw_panel, subject
+from plough_opt.app.panels import LIMIT, SHARE, SOIL, STRUT, changing, deflection_of, draw_panel, subject, triangle
 from plough_opt.core.checks import check_domain, path_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, sin
@@ -45,62 +46,56 @@ def _gif(run: Run, slower: float) -> bytes:
     from PIL import Image  # a dependency of matplotlib
 
     seconds = float(run.time[-1]) * slower
-    count = max(2, min(_MAX_FRAMES, math.ceil(seconds * _RATE)))
-    figure = figure_of_size(8.0, 5.0)
-    figure.set_dpi(80)
+    figure, frames = figure_of_size(8.0, 5.0), []
     canvas = FigureCanvasAgg(figure)
-    upper, lower = figure.subplots(2, 1, height_ratios=(1.3, 1.0))
+    figure.set_dpi(80)
     figure.suptitle(f"{subject(run)}, {slower:g} times slower", fontsize="medium")
+    upper, lower = figure.subplots(2, 1, height_ratios=(1.3, 1.0))
     panel = deflection_of(run)
     draw_panel(lower, run, panel)
     (dot,) = lower.plot([], [], "o", color=LIMIT, markersize=8)
-    _draw_scene(upper, run, 0.0, 0.0)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    figure.set_layout_engine("none")  # so that all frames keep the layout of the first
-    frames = []
-    for time in np.linspace(0.0, float(run.time[-1]), count):
+    move = _scene(upper, run)
+    for time in np.linspace(0.0, float(run.time[-1]), max(2, min(_MAX_FRAMES, math.ceil(seconds * _RATE)))):
         deflection = float(np.interp(time, run.time, run.deflection))
         dot.set_data([time], [deflection / panel.unit.factor])
-        _draw_scene(upper, run, time, deflection)
+        move(time, deflection)
         canvas.draw()  # type: ignore[no-untyped-call]
+        figure.set_layout_engine("none")  # so that all frames keep the layout of the first
         pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
         frames.append(Image.fromarray(pixels).convert("RGB").quantize(_COLOURS, Image.Quantize.FASTOCTREE))
-    file = io.BytesIO()
-    first, *rest = frames
-    first.save(file, "GIF", save_all=True, append_images=rest, duration=1e3 * seconds / count, loop=0)
+    file, (first, *rest) = io.BytesIO(), frames
+    first.save(file, "GIF", save_all=True, append_images=rest, duration=1e3 * seconds / len(frames), loop=0)
     return file.getvalue()
 
 
-def _draw_scene(axes: Axes, run: Run, time: float, deflection: float) -> None:
-    """Draw the share behind its strut at a time; the strut stays in place while the soil moves past."""
+def _scene(axes: Axes, run: Run) -> Callable[[float, float], None]:
+    """Draw the share behind its strut, which stays in place; return what moves share and soil to a time."""
     from matplotlib.colors import LinearSegmentedColormap
 
     scene = run.scene
     height, radius = float(scene.cone.height), float(scene.cone.height * scene.cone.slope)
     front = float(scene.loosened_radius) if scene.medium == "plastic" else radius
     magnification = max(1.0, 1.4 * height / max(float(np.max(np.abs(run.deflection))), 1e-9))
-    strut = float(np.interp(time, run.time, np.asarray(run.travel) + np.asarray(run.deflection)))
-    axes.clear()
-    x = np.linspace(-3.0 * height, 1.5 * height, 400)
-    strength = np.ones_like(x)
-    for wave in scene.effects.waves:
-        strength += as_number(wave.amplitude * sin(2.0 * math.pi * (x + strut) / wave.wavelength + wave.phase))
-    soil = 1.25 * max(front, radius)  # half height of the soil
-    extent = x[0], x[-1], -soil, soil
-    axes.imshow(
-        strength[None],
-        extent=extent,
-        aspect="auto",
-        cmap=LinearSegmentedColormap.from_list("soil", ("#F7E7CE", "#B59468")),
-        vmin=0.0,
-        vmax=2.0,
-    )
-    tip = -magnification * deflection
-    for half, colour, opacity in ((front, SOIL, 0.45), (radius, SHARE, 1.0)):
-        axes.fill([tip, tip - height, tip - height], [0.0, half, -half], color=colour, alpha=opacity)
+    path, x = np.asarray(run.travel) + np.asarray(run.deflection), np.linspace(-3.0 * height, 1.5 * height, 400)
+    half = 1.25 * max(front, radius)  # height of the soil above the axis
+    colours = LinearSegmentedColormap.from_list("soil", ("#F7E7CE", "#B59468"))
+    soil = axes.imshow(x[None], extent=(x[0], x[-1], -half, half), aspect="auto", cmap=colours, vmin=0.0, vmax=2.0)
+    bodies = [triangle(axes, height, *shape) for shape in ((front, SOIL, 0.45), (radius, SHARE, 1.0))]
+    (shank,) = axes.plot([], [], color=STRUT, linewidth=5)
     axes.axvline(0.0, color="black", linestyle="--", linewidth=1.0)
-    axes.plot([tip - 0.6 * height, -0.6 * height], [0.3 * radius, 1.6 * soil], color=STRUT, linewidth=5)
-    axes.plot([-1.3 * height, 0.1 * height], [1.6 * soil] * 2, color="black", linewidth=7)
-    axes.set(xlim=(x[0], x[-1]), ylim=(-soil, 1.8 * soil), xticks=[], yticks=[])
-    key = "dashed: tip without load; darker: stronger soil"
-    axes.set_title(f"{time:.3f} s; deflection magnified {magnification:.2g} times; {key}", fontsize="small")
+    axes.plot([-1.3 * height, 0.1 * height], [1.6 * half] * 2, color="black", linewidth=7)
+    axes.set(xlim=(x[0], x[-1]), ylim=(-half, 1.8 * half), xticks=[], yticks=[])
+
+    def move(time: float, deflection: float) -> None:
+        place, strength = x + float(np.interp(time, run.time, path)), np.ones_like(x)
+        for wave in scene.effects.waves:
+            strength += as_number(wave.amplitude * sin(2.0 * math.pi * place / wave.wavelength + wave.phase))
+        soil.set_data(strength[None])
+        tip = -magnification * deflection
+        for body, end in zip(bodies, (front, radius), strict=True):
+            body.set_xy([(tip, 0.0), (tip - height, end), (tip - height, -end)])
+        shank.set_data([tip - 0.6 * height, -0.6 * height], [0.3 * radius, 1.6 * half])
+        words = f"deflection magnified {magnification:.2g} times; dashed: tip without load; darker: stronger soil"
+        axes.set_title(f"{time:.3f} s; {words}", fontsize="small")
+
+    return move

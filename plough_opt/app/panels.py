@@ -17,6 +17,7 @@ from plough_opt.motion.vocabulary import called
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.patches import Polygon
 
     from plough_opt.design import Limit
 
@@ -92,7 +93,7 @@ def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str,
 
 
 def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
-    """Draw a panel: lines, mean with a band of ± RMS, limits, and above all lines a legend in columns that fit."""
+    """Draw a panel: lines, mean with a band of ± RMS, and limits, below a legend in columns that fit."""
     unit = panel.unit
     for label, (values, colour, dashed) in reversed(panel.lines.items()):
         style, width = "--" if dashed else "-", 1.4 if colour == SHARE else 1.0
@@ -109,20 +110,18 @@ def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
     low, high = axes.get_ylim()
     for words, value in panel.limits:
         label, at = f"limit of the {words} {unit.text(value, 4)}", value / unit.factor
-        if 3.0 * low - 2.0 * high < at < 3.0 * high - 2.0 * low:
-            axes.axhline(at, color=LIMIT, linewidth=1.6, label=label)
-        else:  # so far away that it would flatten the curves
-            side = "above" if at > high else "below"
-            axes.plot([], [], color=LIMIT, linewidth=1.6, label=f"{label}, {side} this picture")
+        near = 3.0 * low - 2.0 * high < at < 3.0 * high - 2.0 * low  # others would flatten the curves
+        away = "" if near else f", {'above' if at > high else 'below'} this picture"
+        axes.plot(run.time[[0, -1]], [at if near else np.nan] * 2, color=LIMIT, linewidth=1.6, label=f"{label}{away}")
     axes.set(xlabel="time [s]", ylabel=unit.heading(panel.name), xlim=(float(run.time[0]), float(run.time[-1])))
-    low, high = axes.get_ylim()
-    # Widen the range around an almost constant result, so that its rounding is not magnified.
-    least = CONSTANT * max(abs(low), abs(high))
-    if high - low < 0.1 * max(abs(low), abs(high)):
-        low, high = low - 0.05 * abs(low) - least, high + 0.05 * abs(high) + least
-    rows = -(-len(axes.get_legend_handles_labels()[0]) // columns)
-    axes.set_ylim(low, high + (0.14 + 0.12 * rows) * (high - low))
-    axes.legend(loc="upper right", ncols=columns, fontsize="x-small")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, fontsize="x-small", frameon=False)
+
+
+def triangle(axes: Axes, length: float, half: float, colour: str, opacity: float, tip: float = 0.0) -> Polygon:
+    """Draw a section of a cone along the horizontal axis, or of the soil in front of one."""
+    corners = [tip, tip + length, tip + length], [0.0, half, -half]
+    (body,) = axes.fill(*corners, facecolor=colour, alpha=opacity, edgecolor="none")
+    return body
 
 
 def _shade_modes(axes: Axes, run: Run) -> None:

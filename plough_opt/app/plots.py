@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from plough_opt.app.panels import LIMIT, SHARE, SOIL, changing, draw_panel, limits_of, subject
+from plough_opt.app.panels import LIMIT, SHARE, SOIL, changing, draw_panel, limits_of, subject, triangle
 from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
 from plough_opt.core.files import COLOURS, figure_of_size, figure_with_panels, save_figure, scale_of
@@ -20,7 +19,6 @@ from plough_opt.design import Limit, LocalOptimum, Optimum
 from plough_opt.design.search.landscape import Violation
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
-from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.elastic import wedge_stress
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "plot_batch", "plot_designs", "plot_machine", "plot_optimum", "plot_run", "plot_runs", "plot_share",
+    "plot_batch", "plot_designs", "plot_optimum", "plot_run", "plot_runs", "plot_share",
     "plot_wedge_field", "save",
 ]  # fmt: skip
 
@@ -78,17 +76,14 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
     panels = changing(run, limits)
     figure = figure_of_size(9, 1.0 + 2.3 * max(1, len(panels)))
     figure.suptitle(subject(run))
-    if not panels:
-        axes = figure.subplots()
-        axes.set_axis_off()
-        axes.text(0.5, 0.5, f"Nothing changes over time.\n\n{run.response()}", ha="center", va="center",
-                  family="monospace", transform=axes.transAxes)  # fmt: skip
-        return figure
-    rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, panel in zip(rows, panels, strict=True):
+    rows = figure.subplots(max(1, len(panels)), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, panel in zip(rows, panels, strict=False):
         draw_panel(axes, run, panel)
-        axes.set_xlabel("")
-    rows[-1].set_xlabel("time [s]")
+        axes.label_outer()
+    if not panels:
+        rows[0].set_axis_off()
+        rows[0].text(0.5, 0.5, f"Nothing changes over time.\n\n{run.response()}", ha="center", va="center",
+                     family="monospace", transform=rows[0].transAxes)  # fmt: skip
     return figure
 
 
@@ -112,25 +107,7 @@ def plot_runs(runs: Mapping[str, Run], origin: Origin | None = None) -> Figure:
     origin = next(iter(runs.values())).origin if origin is None else origin
     figure = figure_of_size(9.0, 6.0)
     figure.suptitle(origin.title)
-    _draw_side_by_side(figure.subplots(2, 1, sharex=True), runs, origin)
-    return figure
-
-
-def plot_machine(machine: Machine) -> Figure:
-    """Draw mount force and deflection over time of several shares in one frame: see `plot_runs`.
-
-    Example:
-        >>> import plough_opt as po
-        >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
-        >>> machine = po.Machine({"front": run, "rear": run})
-        >>> len(po.plots.plot_machine(machine).axes)
-        2
-    """
-    check_kind("the machine", machine, Machine, "a Machine of numeric runs")
-    return plot_runs(machine.runs, machine.origin)
-
-
-def _draw_side_by_side(rows: Sequence[Axes], runs: Mapping[str, Run], origin: Origin) -> None:
+    rows = figure.subplots(2, 1, sharex=True)
     for axes, (name, unit) in zip(rows, {"mount_force": "N", "deflection": "m"}.items(), strict=True):
         size = max(float(np.max(np.abs(getattr(run, name)))) for run in runs.values())
         shown = origin.common(unit, {name: size})
@@ -141,6 +118,7 @@ def _draw_side_by_side(rows: Sequence[Axes], runs: Mapping[str, Run], origin: Or
                 axes.axhline(limit, color=colour, linewidth=1.6, linestyle=":", label=f"limit of {label}")
         axes.set(xlabel="time [s]", ylabel=shown.heading(called(name)))
         axes.legend(fontsize="small")
+    return figure
 
 
 def plot_batch(found: BatchResult) -> Figure:
@@ -185,41 +163,36 @@ def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
         >>> len(po.plots.plot_designs({"best": best}).axes)
         2
     """
-    first = next(iter(designs.values()))
-    figure = figure_of_size(8, 0.9 + 0.75 * len(first.limits))
-    rows = figure.subplots(len(first.limits), 1, squeeze=False)[:, 0]
-    for axes, limit in zip(rows, first.limits, strict=True):
-        found = (next((x for x in one.limits if x.name == limit.name), None) for one in designs.values())
-        _draw_limit(axes, limit, [*found])
+    limits = next(iter(designs.values())).limits
+    figure = figure_of_size(8, 0.9 + 0.75 * len(limits))
+    rows = figure.subplots(len(limits), 1, squeeze=False)[:, 0]
+    for axes, limit in zip(rows, limits, strict=True):
+        _draw_limit(
+            axes, limit, [[own.value for own in best.limits if own.name == limit.name] for best in designs.values()]
+        )
     for name, colour in zip(designs, itertools.cycle(COLOURS), strict=False):
         rows[0].plot([], [], "o", color=colour, label=name)
     figure.legend(loc="outside lower center", ncols=min(4, len(designs)), fontsize="small")
     return figure
 
 
-def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None:
-    """Draw the values of one limited quantity in several designs on a line, with its limits as bars across.
-
-    Args:
-        axes: the axes to draw on.
-        limit: the quantity and its limits.
-        found: the same quantity in each design, or None.
-    """
+def _draw_limit(axes: Axes, limit: Limit, designs: Sequence[Sequence[float]]) -> None:
+    """Draw the value of one limited quantity in each design that has it on a line, with its limits as bars across."""
     factor = limit.shown.factor
     ends = [end / factor for end in (limit.low, limit.high) if end is not None]
-    values = [None if one is None else one.value / factor for one in found]
-    for k, value in enumerate(values):
-        if value is not None:
-            # At different heights, so that equal designs do not hide each other.
-            height = 0.0 if len(values) == 1 else 0.5 - k / (len(values) - 1)
-            axes.plot(value, height, "o", color=COLOURS[k % len(COLOURS)], markersize=7, zorder=3, clip_on=False)
+    # At different heights, so that equal designs do not hide each other.
+    heights = [0.0] if len(designs) == 1 else np.linspace(0.5, -0.5, len(designs))
+    for values, height, colour in zip(designs, heights, itertools.cycle(COLOURS), strict=False):
+        axes.plot(
+            np.divide(values, factor), [height] * len(values), "o", color=colour, markersize=7, zorder=3, clip_on=False
+        )
     for end in ends:
         axes.axvline(end, color="black", linewidth=2.0)
-    every = [*ends, *(value for value in values if value is not None)]
-    room = max(0.08 * (max(every) - min(every)), 0.02 * max(map(abs, every))) or 1.0
-    axes.set(ylim=(-1.0, 1.0), yticks=[], xlim=(min(every) - room, max(every) + room))
+    places = [*ends, *(value / factor for values in designs for value in values)]
+    room = max(0.08 * (max(places) - min(places)), 0.02 * max(map(abs, places))) or 1.0  # rounding is not magnified
+    axes.set(ylim=(-1.0, 1.0), yticks=[], xlim=(min(places) - room, max(places) + room))
     if len(ends) == 2 and scale_of(ends) == "log":
-        axes.set(xscale="log", xlim=(0.8 * min(every), 1.25 * max(every)))
+        axes.set(xscale="log", xlim=(0.8 * min(places), 1.25 * max(places)))
     axes.set_ylabel(limit.shown.heading(called(limit.name)), rotation=0, ha="right", va="center")
     axes.spines[["left", "right", "top"]].set_visible(False)
 
@@ -240,27 +213,28 @@ def plot_optimum(best: Optimum, run: Run) -> Figure:
     """
     check_kind("the optimum", best, Optimum, "an Optimum, as returned by Design.solve")
     check_kind("the run", run, Run, "a numeric Run, as returned by po.simulate")
-    panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
+    names = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
+    search = [names[k : k + _PANELS] for k in range(0, len(names), _PANELS)]
     required = [limit for limit in best.limits if limit.kind == "requirement" and not limit.trivial]
-    rows = -(-len(panels) // _PANELS)
-    response = [p for p in changing(run, best.limits) if p.name != "speed"]
-    heights = [3.2] * (2 if response else 1) + [3.0] * rows
+    response = [panel for panel in changing(run, best.limits) if panel.name != "speed"]
+    heights = [3.2] * (2 if response else 1) + [3.0] * len(search)
     figure = figure_of_size(12.5, 0.8 + sum(heights))
     figure.suptitle(subject(run))
     top, *below = np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False))
-    left = [top.add_subplot(1, 3 if required else 2, k) for k in (1, 2)]
-    _draw_wedge(left[0], run.scene)
-    _draw_cone(left[1], run.scene)
+    columns = 3 if required else 2
+    _draw_wedge(top.add_subplot(1, columns, 1), run.scene)
+    _draw_cone(top.add_subplot(1, columns, 2), run.scene)
     for k, panel in enumerate(response, start=1):
         draw_panel(below[0].add_subplot(1, len(response), k), run, panel, columns=3)
     if required:
-        _draw_margins(top.add_subplot(1, 3, 3), required)
-    for row, part in enumerate(below[len(heights) - 1 - rows :]):
-        for k in range(len(panels[_PANELS * row : _PANELS * (row + 1)])):
-            axes = part.add_subplot(1, min(_PANELS, len(panels)), k + 1)
-            _draw_search(axes, best, _PANELS * row + k)
-        if row == rows - 1:
-            part.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
+        _draw_margins(top.add_subplot(1, columns, 3), required)
+    for part, row in zip(below[-len(search) :], search, strict=False):
+        for k, name in enumerate(row, start=1):
+            axes = part.add_subplot(1, min(_PANELS, len(names)), k)
+            _draw_search(axes, best, name)
+            axes.set_ylabel("objective" if k == 1 else "")
+    if search:
+        below[-1].legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
     return figure
 
 
@@ -282,46 +256,30 @@ def _draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
     axes.set(xlabel="margin [% of the limit]", title="Requirements")
 
 
-def _draw_search(axes: Axes, best: Optimum, variable: int) -> None:
-    """Draw the objective over one variable: the designs of the search, and the local optima with their spread.
-
-    Args:
-        axes: the axes to draw on.
-        best: an optimum with a search.
-        variable: index of the variable.
-    """
-    search, name = best.search, list(best.variables)[variable]
+def _draw_search(axes: Axes, best: Optimum, name: str) -> None:
+    """Draw the objective over one variable: the designs of the search, and the local optima with their spread."""
+    search, display = best.search, best.display(name)
     assert search is not None  # a precondition
-    display = best.display(name)
-    values, feasible = search.values[:, variable] / display.factor, search.violation <= Violation.allowed
+    values = search.values[:, list(best.variables).index(name)] / display.factor
+    feasible, computed = search.violation <= Violation.allowed, np.isfinite(search.objective)
     for which, color, label in (
-        (np.isfinite(search.objective) & ~feasible, _FAILED, "tried, fails a requirement"),
+        (computed & ~feasible, _FAILED, "tried, fails a requirement"),
         (feasible, SHARE, "tried, meets all requirements"),
     ):
-        if np.any(which):
-            axes.plot(values[which], search.objective[which], ".", markersize=2, color=color, label=label, zorder=1)
+        axes.plot(values[which], search.objective[which], ".", markersize=2, color=color, label=label, zorder=1)
     for k, optimum in enumerate(best.local_optima):
         at = optimum.variables[name] / display.factor
         if optimum.spread is not None:
             axes.plot([at, at], [optimum.objective, optimum.spread.worst], color=LIMIT, linewidth=1.2, zorder=2,
                       label=None if k else "within the tolerances, up to the worst")  # fmt: skip
-        named = None if k > 1 else ("best" if k == 0 else "other local optima")
         axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=LIMIT, zorder=3,
-                  markeredgecolor="white", label=named)  # fmt: skip
-    axes.set_xscale(scale_of(values))
-    _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
-    axes.set_xlabel(display.heading(called(name)))
-    if variable % _PANELS == 0:
-        axes.set_ylabel("objective")
-
-
-def _show_low_objectives(axes: Axes, tried: NDArray[np.float64], best: Optimum) -> None:
-    """Limit the axis to the lower three quarters of the objectives, so that the optima can be told apart."""
+                  markeredgecolor="white", label={0: "best", 1: "other local optima"}.get(k))  # fmt: skip
+    # The lower three quarters of the objectives, so that the optima can be told apart.
+    tried = search.objective[feasible if np.any(feasible) else computed]
     lows = [optimum.objective for optimum in best.local_optima]
-    low = min([*lows, *tried.tolist()])
-    high = max([*lows, float(np.quantile(tried, 0.75)) if len(tried) else low])
+    low, high = min([*lows, *tried]), max([*lows, *np.quantile(tried, [0.75] * (len(tried) > 0))])
     room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
-    axes.set_ylim(low - room, high + room)
+    axes.set(xscale=scale_of(values), xlabel=display.heading(called(name)), ylim=(low - room, high + room))
 
 
 # --- a share in its soil ---------------------------------------------------------------------------------
@@ -344,12 +302,10 @@ def plot_share(scene: Scene) -> Figure:
     check_kind("the scene", scene, Scene, "a numeric Scene")
     figure = figure_of_size(13, 4.4)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.24))
-    _draw_cone(right, scene)
-    right.set_ylabel("")
-    half_width = right.get_ylim()[1]
     _draw_wedge(left, scene)
-    half_width = max(half_width, left.get_ylim()[1])
-    left.set_ylim(-half_width, half_width)
+    half_width = left.get_ylim()[1]
+    _draw_cone(right, scene)
+    right.set(ylabel="", ylim=max((-half_width, half_width), right.get_ylim(), key=lambda ends: ends[1]))
     return figure
 
 
@@ -363,40 +319,35 @@ def _draw_wedge(axes: Axes, scene: Scene) -> None:
         return
     edge = float(share.height) / math.cos(share.chisel_angle)
     width = edge * math.tan(share.angle)
-    for side in (1.0, -1.0):
-        axes.fill([0, edge, edge], [0, 0, side * width], facecolor=_STEEL, alpha=0.75 if side > 0 else 0.55,
-                  edgecolor="black", linewidth=0.8)  # fmt: skip
-    angles = np.linspace(0.0, float(share.angle), 30)
-    axes.plot(0.3 * edge * np.cos(angles), 0.3 * edge * np.sin(angles), color="white", linewidth=1.2)
-    axes.text(0.34 * edge * math.cos(angles[-1] / 2), 0.34 * edge * math.sin(angles[-1] / 2),
-              f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="left", va="center")  # fmt: skip
+    for side, opacity in ((width, 0.75), (-width, 0.55)):
+        axes.fill([0, edge, edge], [0, 0, side], facecolor=_STEEL, alpha=opacity, edgecolor="black", linewidth=0.8)
+    axes.text(0.97 * edge, 0.08 * width, f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="right")
     angle = f"chisel angle {math.degrees(share.chisel_angle):.0f}°"
-    along = f"along the edge, {edge:.3f} m long\nh = {share.height:.3f} m, {angle}"
-    _scale(axes, along, edge, width)
+    _scale(axes, f"along the edge, {edge:.3f} m long\nh = {share.height:.3f} m, {angle}", edge, width)
 
 
 def _draw_cone(axes: Axes, scene: Scene) -> None:
     """Draw a longitudinal section of the equivalent cone and of the compacted soil around it."""
     cone = scene.cone
     height, radius = float(cone.height), float(cone.height * cone.slope)
-    loosens = not scene.law.lacks("loosened_radius")
-    front = float(scene.loosened_radius) if loosens else radius
-    if loosens:
-        axes.fill([0, height, height], [0, front, -front], facecolor=SOIL, alpha=0.35, edgecolor="none",
-                  label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
-        for side in (1.0, -1.0):
-            axes.plot([0, height], [0, side * front], color=SOIL, linestyle="--", linewidth=1.2)
+    front = radius
+    if not scene.law.lacks("loosened_radius"):
+        front = float(scene.loosened_radius)
+        triangle(axes, height, front, SOIL, 0.35).set_label(f"compacted soil, r* = {front:.3f} m")
         axes.legend(loc="upper left", fontsize="small")
-    axes.fill([0, height, height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
-              linewidth=0.8)  # fmt: skip
-    axes.annotate("", xy=(-0.28 * height, 0), xytext=(-0.05 * height, 0),
-                  arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
+    triangle(axes, height, radius, _STEEL, 0.85)
+    _arrow(axes, -0.28 * height, -0.05 * height)
     axes.text(-0.165 * height, 0.04 * front, "travel", ha="center", va="bottom")
     axes.text(0.96 * height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="right", va="center")
     axes.set_title("Equivalent cone (equal height and surface)")
     mount = customary("N/m", float(scene.stiffness)).text(float(scene.stiffness), 4)
     along = f"along the axis [m]\nh = {height:.3f} m, base radius {radius:.3f} m\non a mount of {mount}"
     _scale(axes, along, height, front, ahead=0.35 * height)
+
+
+def _arrow(axes: Axes, head: float, tail: float) -> None:
+    """Draw an arrow along the axis, in the direction of travel."""
+    axes.annotate("", xy=(head, 0), xytext=(tail, 0), arrowprops={"arrowstyle": "->", "color": "black"})
 
 
 def _scale(axes: Axes, along: str, length: float, half_width: float, ahead: float = 0.0) -> None:
@@ -421,24 +372,22 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
         >>> len(po.plots.plot_wedge_field(profile, soil, 2.0).axes)
         4
     """
+    from matplotlib.ticker import MaxNLocator
+
     wedge = body(profile)
     length = float(wedge.places[-1] - wedge.places[0])
     x = float(wedge.places[0]) + length * np.linspace(-0.6, 1.6, 221)
     y = length * np.linspace(-0.8, 0.8, 162)  # an even number, so that no row hits the singular nodes on the axis
-    along, across = np.meshgrid(x, y)
-    field = wedge_stress(along, across, profile, soil, speed)
+    field = wedge_stress(*np.meshgrid(x, y), profile, soil, speed)
     figure = figure_of_size(12, 4.8)
     for axes, name, values in zip(figure.subplots(1, 2), ("yy", "xy"), (field.yy, field.xy), strict=True):
         # Stresses are infinite at the nodes, so the colour scale ends at the 99th percentile.
         largest = float(np.quantile(absolute(as_number(values)), 0.99)) / 1e3
-        from matplotlib.ticker import MaxNLocator
-
         levels = MaxNLocator(20, symmetric=True).tick_values(-largest, largest)
         filled = axes.contourf(x, y, values / 1e3, levels, cmap="RdBu", extend="both")
-        figure.colorbar(filled, ax=axes, label=f"$\\sigma_{{{name}}}$ [kPa], tension positive")
+        figure.colorbar(filled, ax=axes, label=f"σ_{name} [kPa], tension positive")
         heights = np.array(wedge.heights)
         axes.fill_between(wedge.places, -heights, heights, facecolor=_STEEL, edgecolor="black")
-        axes.annotate("", xy=(x[0] + 0.06 * length, 0), xytext=(x[0] + 0.3 * length, 0),
-                      arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
+        _arrow(axes, x[0] + 0.06 * length, x[0] + 0.3 * length)
         axes.set(aspect="equal", xlabel="x behind the tip [m]", ylabel="y across [m]")
     return figure

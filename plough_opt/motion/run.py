@@ -587,4 +587,4 @@ class Machine(Saveable):
             >>> len(machine.plot().axes)
             2
         """
-        return drawn("plot_machine", self, target=target)
+        return drawn("plot_runs", self.runs, self.origin, target=target)

@@ -93,23 +93,30 @@ def check_outputs(options: argparse.Namespace) -> None:
         own = options.function in ("tradeoff", "sweep")  # which write CSV without pandas
         for name in ["pandas", "openpyxl"] if _is_workbook(table) else [] if own else ["pandas"]:
             optional(name)
-        if Path(table).suffix:
-            check_file(table, "table", ".csv", ".xlsx")
     file = getattr(options, "file", [])
     inputs = dict.fromkeys(file, "an input file") if isinstance(file, list) else {file: "the problem file"}
     inputs |= dict.fromkeys(getattr(options, "data", ()), "a data file")
-    taken = {os.path.realpath(path): what for path, what in inputs.items()}
+    taken = {_place(path): what for path, what in inputs.items()}
     for name in ("plot", "csv", "output", "description"):
         if (path := getattr(options, name, None)) is None:
             continue
         if path == "-":
             raise InputError(f"--{name} - would write a file of this name: name a file; --json prints the result")
-        place = os.path.realpath(path)
+        place = _place(path)
         if other := taken.get(place):
             raise InputError(f"--{name} '{path}' is {other}, which it would overwrite: name another file")
         taken[place] = f"also the file of --{name}"
+        if name == "csv" and Path(path).suffix:
+            check_file(path, "table", ".csv", ".xlsx")
         if not (hasattr(options, "to") and Path(path).is_dir()):  # an export may be a folder
             check_writable(path, f"file of --{name}")
+
+
+def _place(path: str) -> str:
+    """Return the absolute path with links resolved, also if they lead in a circle."""
+    if "\0" in path:
+        raise InputError(f"{path!r} cannot be a path: it contains a null character")
+    return os.path.realpath(path)
 
 
 _interrupted = threading.Event()

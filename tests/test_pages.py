@@ -37,7 +37,7 @@ from plough_opt.motion.solvers import plan
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import reading, schema, source
 from plough_opt.soil.elastic import medium
-from plough_opt.studies.calibration.measurements import MEASURABLE
+from plough_opt.studies.calibration.measurements import measurable
 from plough_opt.studies.sweep.points import MOST_POINTS
 from plough_opt.studies.tradeoff import assembly
 from plough_opt.studies.uncertainty import distribution
@@ -218,7 +218,7 @@ def test_a_named_function_exists(name):
 
 def test_results_that_can_be_measured_are_listed():
     (listed,) = re.findall(r"the measured result, one per file: (.*?) \|", TEXTS["calibration"])
-    assert set(re.findall(r"\w+_\w+", listed)) == set(MEASURABLE)
+    assert set(re.findall(r"\w+_\w+", listed)) == set(measurable())
 
 
 # --- limits.md: every figure is the constant by which the code refuses ---

@@ -212,7 +212,15 @@ class Fit(Saveable):
         return {name: float(np.sqrt(np.mean(self.residuals[results == name] ** 2))) for name in names}
 
     def words(self) -> str:
-        """Return errors and coverage of the rows in a sentence."""
+        """Return errors and coverage of the rows, those that `hold_out` held out, in a sentence.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> fit.hold_out(1 / 3).words().partition(",")[0]
+            'Fitted to 16 rows'
+        """
         errors = []
         for name, rms in self.rms.items():
             like = [row for row in self.rows if row.result == name]

@@ -19,8 +19,6 @@ from plough_opt.motion.vocabulary import MEASURES
 
 RECORD: Final = "mount_force"
 """The result that is measured over time; rows with equal conditions belong to one run."""
-MEASURABLE: Final = tuple(name for name, measure in MEASURES.items() if measure.measured)
-"""Names of the results that can be measured in the field."""
 _EXAMPLE: Final = "'scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]'"
 
 
@@ -68,7 +66,7 @@ class Measurements(ByValue):
         check_kind(f"{self.name}: lines", self.lines, Sequence, "a list of the rows' line numbers")
         conditions = mapping_of(f"{self.name}: conditions", self.conditions, "a quantity's key -> its values")
         if not (isinstance(self.result, str) and self.result in EVERY):
-            check_named(f"{self.name}: {{}} is not a measured result", self.result, MEASURABLE)
+            check_named(f"{self.name}: {{}} is not a measured result", self.result, measurable())
         for key in conditions:
             check_named(f"{self.name}: {{}} is not a quantity of a scene", key, EVERY)
         if self.result in conditions:
@@ -91,7 +89,7 @@ class Measurements(ByValue):
     @property
     def direct(self) -> bool:
         """Whether a quantity of the scene was measured, and not a result."""
-        return self.result not in MEASURABLE
+        return self.result in EVERY
 
     @property
     def counted(self) -> NDArray[np.bool_]:
@@ -168,6 +166,11 @@ class Measurements(ByValue):
             raise InputError(f"{self.row(number)}: {key} = {column[number]:g} must be {expected}")
 
 
+def measurable() -> tuple[str, ...]:
+    """Return the names of the results that can be measured in the field."""
+    return tuple(name for name, measure in MEASURES.items() if measure.measured)
+
+
 def read_measurements(path: str | Path) -> Measurements:
     """Read one measured result from a CSV file.
 
@@ -198,7 +201,7 @@ def read_measurements(path: str | Path) -> Measurements:
     shown = [(text.strip(), factor) for text, (_, factor) in zip(headings, columns, strict=True)]
     table = table_of(path, rows[1:], shown, lambda *_: None)
     values = {name: table[:, k] for k, (name, _) in enumerate(columns)}
-    result = next(name for name in values if name in MEASURABLE)
+    result = next(name for name in values if name in measurable())
     measured, sigma = values.pop(result), values.pop("sigma", None)
     if sigma is not None and relative:
         with np.errstate(over="ignore"):  # `Measurements` reports an infinite number with its row
@@ -213,7 +216,7 @@ def _columns(place: str, headings: Sequence[str], relative: bool) -> list[tuple[
     Raises:
         InputError: invalid columns, or columns that do not go together; the message lists all.
     """
-    measured = {name: MEASURES[name].unit for name in MEASURABLE}
+    measured = {name: MEASURES[name].unit for name in measurable()}
     results = [name for text in headings if (name := heading_of(text, measured)[0]) in measured]
     # Without a measured result the unit of sigma is unknown: report the missing result only.
     sigma = [text for text in headings if heading_of(text, ("sigma",))[0] == "sigma"]
@@ -224,7 +227,7 @@ def _columns(place: str, headings: Sequence[str], relative: bool) -> list[tuple[
     twice = sorted({name for name in names if names.count(name) > 1})
     errors = [f"{place}, column '{key}': it is given twice: leave one of the two out" for key in twice]
     if not results:
-        valid = f"add one of {', '.join(MEASURABLE)}, such as {_EXAMPLE}"
+        valid = f"add one of {', '.join(measurable())}, such as {_EXAMPLE}"
         errors.append(f"{place}: no column holds a measured result: {valid}")
     if len(set(results)) > 1:
         errors.append(f"{place}: {' and '.join(results)} are measured: write one file for each, and give all files")

@@ -29,7 +29,7 @@ from plough_opt.core.process import available, load_additions, one_of_several, w
 from plough_opt.core.saving import Origin, versions
 from plough_opt.core.screen import Screen, progress_on
 from plough_opt.core.tables import write_rows
-from plough_opt.studies.sweep.result import BETWEEN, Sweep, headings
+from plough_opt.studies.sweep.result import BETWEEN, Sweep, headings, read_sweep
 
 Progress = Callable[[str, float], object]
 """Called with a sentence and the part of the points that are finished."""
@@ -123,7 +123,7 @@ class Plan:
                 where = f"in '{path}': the same sweep goes on there" if path else "lost, because there is no file"
                 raise KeyboardInterrupt(f"{done.sum() - len(waiting)} of {len(done)} points are {where}") from None
             stream.seek(0)
-            swept = Sweep.load(path) if path else Sweep.read(stream)
+            swept = Sweep.load(path) if path else read_sweep(stream)
         return replace(swept, units=self.units, origin=self.origin, how=self.how)
 
     def _before(self, path: Path | None, digest: str) -> tuple[tuple[str, ...] | None, NDArray[np.bool_]]:

@@ -81,38 +81,9 @@ class Sweep(Readable):
         path = path_of("the file", path)
         try:
             with path.open(encoding="utf-8", errors="replace", newline="") as stream:
-                return cls.read(stream, path)
+                return read_sweep(stream, path)
         except OSError as error:
             raise InputError(f"the file {shown(str(path), 200)} of a sweep cannot be read: {error.strerror}") from None
-
-    @classmethod
-    def read(cls, stream: TextIO, path: Path | None = None) -> Sweep:
-        """Return the sweep in a stream; a last line without its end, which a killed run leaves, does not count.
-
-        Raises:
-            InputError: it is not a sweep.
-        """
-        first, *lines = [*stream] or [""]
-        heads = first.rstrip("\n").split(",")
-        if first.startswith("SQLite format 3"):
-            raise InputError(f"'{path}' is a store of version 0.2, which this version cannot read: name a new CSV file")
-        if heads[0] != "point" or heads[-2:] != ["warnings", "reason"] or "question" not in heads[2:]:
-            raise InputError(f"'{path}' is not the file of a sweep: name another file")
-        names, _, symbols = zip(*(head.rstrip("]").partition(" [") for head in heads), strict=True)
-        middle, kind = names.index("question"), [(name, _FIXED.get(name, "f8")) for name in names]
-        swept, results = names[1:middle], names[middle + 1 : -2]
-        headings(swept, results, {})
-        if lines and not lines[-1].endswith("\n"):
-            lines.pop()
-        try:
-            table = np.loadtxt(lines, kind, None, ",", quotechar='"', ndmin=1) if lines else np.zeros(0, kind)
-            if any(np.isinf(table[name]).any() for name in (*swept, *results)):
-                raise ValueError("a number is infinite")
-        except ValueError as error:
-            why = f"holds what no sweep writes ({short(str(error), 120)})"
-            raise InputError(f"'{path}' {why}: name another file") from None
-        table = table[np.unique(table["point"], return_index=True)[1]]
-        return cls(swept, results, table, {n: unit for n, unit in zip(names, symbols, strict=True) if unit}, path)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -287,6 +258,35 @@ class Sweep(Readable):
             'point,x,question,y,warnings,reason'
         """
         return write_table(path, [headings(self.names, self.results, self.units), *self.table.tolist()])
+
+
+def read_sweep(stream: TextIO, path: Path | None = None) -> Sweep:
+    """Return the sweep in a stream; a last line without its end, which a killed run leaves, does not count.
+
+    Raises:
+        InputError: it is not a sweep.
+    """
+    first, *lines = [*stream] or [""]
+    heads = first.rstrip("\n").split(",")
+    if first.startswith("SQLite format 3"):
+        raise InputError(f"'{path}' is a store of version 0.2, which this version cannot read: name a new CSV file")
+    if heads[0] != "point" or heads[-2:] != ["warnings", "reason"] or "question" not in heads[2:]:
+        raise InputError(f"'{path}' is not the file of a sweep: name another file")
+    names, _, symbols = zip(*(head.rstrip("]").partition(" [") for head in heads), strict=True)
+    middle, kind = names.index("question"), [(name, _FIXED.get(name, "f8")) for name in names]
+    swept, results = names[1:middle], names[middle + 1 : -2]
+    headings(swept, results, {})
+    if lines and not lines[-1].endswith("\n"):
+        lines.pop()
+    try:
+        table = np.loadtxt(lines, kind, None, ",", quotechar='"', ndmin=1) if lines else np.zeros(0, kind)
+        if any(np.isinf(table[name]).any() for name in (*swept, *results)):
+            raise ValueError("a number is infinite")
+    except ValueError as error:
+        why = f"holds what no sweep writes ({short(str(error), 120)})"
+        raise InputError(f"'{path}' {why}: name another file") from None
+    table = table[np.unique(table["point"], return_index=True)[1]]
+    return Sweep(swept, results, table, {n: unit for n, unit in zip(names, symbols, strict=True) if unit}, path)
 
 
 def headings(names: Sequence[str], results: Sequence[str], units: Mapping[str, str]) -> list[str]:

@@ -401,6 +401,12 @@ class Verification(ByValue):
         values: name of a result -> its values over the fresh soils.
         seed: seed of the fresh soils.
         seconds: time taken [s].
+
+    Example:
+        >>> from plough_opt.uncertainty import Check, Verification
+        >>> check = Check("draft", "mean", 2000.0, 2010.0, 1995.0, 2025.0)
+        >>> Verification((check,), 256, 0, {}, 1, 0.1).confirmed
+        True
     """
 
     checks: tuple[Check, ...]

@@ -18,7 +18,7 @@ def markdown(table: list[list[str]]) -> str:
 
 def tables() -> list[str]:
     """Return all tables of the page."""
-    return [markdown(table()) for table in (*findings.TABLES, *compare.TABLES)]
+    return [markdown(table()) for table in findings.TABLES]
 
 
 def main() -> None:
@@ -26,7 +26,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plot", type=Path, metavar="FOLDER", help="where to draw the picture")
     chosen = parser.parse_args()
-    further = [markdown(table()) for table in (*findings.FURTHER, lambda: compare.filled("to_obtain"))]
+    further = [markdown(table()) for table in (*findings.FURTHER, *compare.TABLES)]
     print(*tables(), *further, *sentences.sentences(), *sentences.experiment(), sep="\n\n")
     if chosen.plot:
         findings.plot(chosen.plot)

@@ -179,4 +179,4 @@ def filled(name: str) -> Rows:
     return [[*rows[0]], *([cell.format(**values) for cell in row.values()] for row in rows)]
 
 
-TABLES = (blade_table, *(lambda name=name: filled(name) for name in ("single_numbers", "trends")))
+TABLES = (blade_table, *(lambda name=name: filled(name) for name in ("single_numbers", "trends", "to_obtain")))

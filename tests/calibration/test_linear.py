@@ -103,16 +103,10 @@ def test_coverage_of_500_trials_is_95_per_cent_within_3(script, number):
         assert abs(own.rate - 0.95) <= 0.03, own
 
 
-def test_the_page_has_the_table_of_the_script(script):
-    """A row for each case and unknown, with rates of 95 % within 3, and every parameter identifiable in some case."""
-    page = (PROBLEMS.parent / "docs" / "explanation" / "fitting.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\|(.*)\| `([\w.]+)` \| in (\d+) \| (.*) \|$", page, flags=re.MULTILINE)
-    found = [(own.name, own.identifiable) for case in script.CASES for own in case.run(1)]
-    assert [(name, int(count) / 500) for _, name, count, _ in rows] == found
-    assert {name for name, identifiable in found if identifiable} == set(script.BOUNDS)
-    for _, _, count, rest in rows:
-        rates = [float(text) for text in re.findall(r"([\d.]+) %", rest)[:1]]
-        assert rates == pytest.approx([95.0] if int(count) else [], abs=3.0)
+def test_every_unknown_is_identifiable_in_some_case_of_the_study(script):
+    found = [own for case in script.CASES for own in case.run(1)]
+    assert {own.name for own in found if own.identifiable} == set(script.BOUNDS)
+    assert {own.name for own in found if not own.identifiable} == {"soil.cohesion", "soil.ambient_pressure"}
 
 
 def residuals(measured):

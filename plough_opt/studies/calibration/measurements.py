@@ -22,11 +22,6 @@ RECORD: Final = "mount_force"
 _EXAMPLE: Final = "'scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]'"
 
 
-def measurable() -> tuple[str, ...]:
-    """Return the names of the results that can be measured in the field, also of those that a user added."""
-    return tuple(name for name, measure in MEASURES.items() if measure.measured)
-
-
 @dataclass(frozen=True, eq=False)
 class Measurements(ByValue):
     """Measured values of one result, with a number per row in every column.

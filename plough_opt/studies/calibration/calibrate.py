@@ -110,11 +110,14 @@ class Calibration:
         self._model = Model.of(given, duration, unknown, {key for m in self._sets for key in m.conditions})
         self._title = title or self._model.title
         _check_unknowns(self._model, self._sets)
+        weights, stated = _weights(self._sets, relative=errors == "relative")
         self._problem = LeastSquares(
-            Predictions(self._model.predictor(self._sets)),
-            self._model.guess,
-            np.concatenate([m.values for m in self._sets]),
-            *_weights(self._sets, relative=errors == "relative"),
+            predictions=Predictions(self._model.predictor(self._sets)),
+            guess=self._model.guess,
+            observed=np.concatenate([m.values for m in self._sets]),
+            weights=weights,
+            counted=np.concatenate([m.counted for m in self._sets]),
+            stated=stated,
             relative=errors == "relative",
             robust=loss == "soft_l1",
         )

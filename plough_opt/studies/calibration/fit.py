@@ -177,18 +177,14 @@ class Fit(Saveable):
         level = plain_number("level", level, above=0.0, below=1.0, why="0.95 is usual")
         source = self._source_to("hold rows out of")
         held, asked = source.chosen(part, by, seed), source.solution.asked
-        weights = asked.weights.copy()
-        weights[held] = 0.0
-        if np.sum(weights > 0.0) < asked.least_rows:
+        counted = asked.counted.copy()
+        counted[held] = False
+        if np.sum(counted) < asked.least_rows:
             few = f"leaves fewer than the {asked.least_rows} that {len(self.unknowns)} unknowns need"
             raise InputError(f"holding out {len(held)} rows {few}: hold out a smaller part, or measure more")
         # The other rows choose their own starts, so that nothing of the rows held out enters.
-        others = replace(source, solution=replace(asked, weights=weights).fitted(starts=4))
-        whole, counted = asked.over(others.solution.predicted).weights, weights > 0.0
-        # The loss soft_l1 has divided all weights by the scale of the residuals.
-        rows = others.rows(whole * np.median(others.solution.problem.weights[counted] / whole[counted]))
-        fit = others.fit(time.perf_counter())
-        title, rows = f"{self.title}: rows held out", tuple(rows[k] for k in held)
+        fit = replace(source, solution=replace(asked, counted=counted).fitted(starts=4)).fit(time.perf_counter())
+        title, rows = f"{self.title}: rows held out", tuple(fit.rows[k] for k in held)
         return replace(fit, title=title, rows=rows, level=level, origin=self.origin)
 
     @property
@@ -438,7 +434,7 @@ class Source:
             standard_errors={u.name: float(e * s) for u, e, s in zip(unknowns, solution.errors, slopes, strict=True)},
             correlation=solution.covariance / np.outer(solution.errors, solution.errors),
             unidentifiable=tuple(undetermined(unknowns, solution)),
-            rows=self.rows(solution.problem.weights),
+            rows=self._rows(),
             loss=LOSSES[problem.robust],
             optima=solution.optima,
             fitted=int(np.sum(problem.counted)),
@@ -450,11 +446,10 @@ class Source:
             source=self,
         )
 
-    def rows(self, weights: Array) -> tuple[Row, ...]:
-        """Return every measured row with its prediction; the weights give the standard deviation of each."""
-        fit, rows = self.solution, list[Row]()
-        observed, sigma = fit.problem.observed, fit.sigma(weights)
-        columns = [observed, fit.predicted, sigma, fit.prediction_errors(sigma), fit.predicted - observed]
+    def _rows(self) -> tuple[Row, ...]:
+        """Return every measured row with its prediction."""
+        fit, observed, rows = self.solution, self.solution.problem.observed, list[Row]()
+        columns = [observed, fit.predicted, fit.sigma, fit.prediction_errors(), fit.predicted - observed]
         numbers = np.column_stack(columns).tolist()
         for m in self.sets:
             for k in range(len(m.values)):
@@ -470,7 +465,7 @@ class Source:
         """
         share = plain_number("the part of the rows to hold out", part, above=0.0, below=1.0, why="1/3 is usual")
         direct = np.concatenate([np.full(len(m.values), m.direct) for m in self.sets])
-        rows = np.flatnonzero(~direct & self.solution.problem.counted)
+        rows = np.flatnonzero(~direct & self.solution.asked.counted)
         groups: Array = rows.astype(float)
         if by is not None:
             check_named(

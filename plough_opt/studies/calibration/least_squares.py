@@ -52,7 +52,8 @@ class LeastSquares:
         predictions: scaled unknowns -> predictions (n) and slopes (n, p).
         guess: scaled unknowns from which the search starts (p).
         observed: measured values (n), SI.
-        weights: 1/sigma (n), or relative weights if sigma is unknown; 0 leaves a row out.
+        weights: 1/sigma (n), or relative weights if sigma is unknown.
+        counted: mask of the rows that are fitted (n).
         stated: whether sigma is stated.
         relative: whether the errors are proportional to the predictions, so that weights are to be divided by these.
         robust: whether the loss is soft_l1.
@@ -62,14 +63,10 @@ class LeastSquares:
     guess: Array
     observed: Array
     weights: Array
+    counted: NDArray[np.bool_]
     stated: bool
     relative: bool
     robust: bool
-
-    @property
-    def counted(self) -> NDArray[np.bool_]:
-        """Mask of the rows with a weight above 0."""
-        return self.weights > 0.0
 
     @property
     def least_rows(self) -> int:
@@ -94,12 +91,12 @@ class LeastSquares:
         return replace(sized, weights=sized.weights / max(scale, _LEAST_SCALE))
 
     def residuals(self, y: Array) -> Array:
-        """Return predicted minus observed values times weights (n)."""
-        return np.asarray(self.weights * (self.predictions(y)[0] - self.observed))
+        """Return predicted minus observed values times weights (n); 0 for rows that are not fitted."""
+        return np.asarray(self.counted * self.weights * (self.predictions(y)[0] - self.observed))
 
     def slopes(self, y: Array) -> Array:
         """Return the derivatives of the residuals (n, p)."""
-        return np.asarray(self.weights[:, None] * self.predictions(y)[1])
+        return np.asarray((self.counted * self.weights)[:, None] * self.predictions(y)[1])
 
     def loss(self, y: Array) -> float:
         """Return the sum of the losses of the residuals."""
@@ -189,10 +186,11 @@ class Solution:
         optima: sums of losses of all distinct local optima, the best first.
         predicted: predictions (n), SI.
         residuals: weighted residuals, predicted minus observed (n).
-        freedom: degrees of freedom: rows of weight above 0, minus directions that have an effect.
+        freedom: degrees of freedom: fitted rows, minus directions that have an effect.
         student: degrees of freedom of Student's quantiles; infinite if the variance is known.
         variance: variance of a weighted residual in the covariance.
         rise: rise of twice the loss over the squared quantile.
+        sigma: standard deviation of each measurement (n), SI, by its weight; infinite for one of weight 0.
         vectors: singular directions of the scaled unknowns as columns (p, p).
         deviation: standard deviation along each; infinite if no residual depends on it.
         free: mask of the directions along which the data tell less than the bounds.
@@ -215,6 +213,8 @@ class Solution:
             square = max(float(np.sum((counted / root) ** 2)) / max(self.freedom, 1), _LEAST_SCALE**2)
             curvature = float(np.mean(root**-3.0))
             self.variance, self.rise = square / curvature**2, square / curvature
+        with np.errstate(divide="ignore"):
+            self.sigma: Array = self.variance**0.5 / problem.weights
         self.vectors: Array = right.T
         self.deviation = np.divide(self.variance**0.5, sizes, out=np.full(len(y), np.inf), where=effective)
         self.free = self.deviation >= UNIFORM
@@ -228,12 +228,7 @@ class Solution:
         within = self.vectors[:, which] * self.deviation[which]
         return np.asarray(within @ within.T)
 
-    def sigma(self, weights: Array | None = None) -> Array:
-        """Return the standard deviation of each measurement (n), SI, by its weight; infinite for one of weight 0."""
-        with np.errstate(divide="ignore"):
-            return np.asarray(self.variance**0.5 / (self.problem.weights if weights is None else weights))
-
-    def prediction_errors(self, sigma: Array) -> Array:
+    def prediction_errors(self) -> Array:
         """Return the standard errors of the predictions (n), SI; infinite where the data do not determine them.
 
         Along an undetermined direction the unknowns may be anywhere between their bounds: there is no error where that
@@ -242,7 +237,7 @@ class Solution:
         slopes = self.problem.predictions(self.y)[1]
         within = np.sqrt(np.einsum("ni,ij,nj->n", slopes, self._covariance(~self.free), slopes))
         elsewhere = UNIFORM * np.linalg.norm(slopes @ self.vectors[:, self.free], axis=1)
-        return np.where(elsewhere > 0.1 * sigma, np.inf, within)
+        return np.where(elsewhere > 0.1 * self.sigma, np.inf, within)
 
     def profile(self, k: int, level: float) -> tuple[float, float]:
         """Return the ends of the profile interval of scaled unknown k, or the bounds that come first.

@@ -140,7 +140,7 @@ def _inaccurate(fit: Solution, sets: Sequence[Measurements], model: Model) -> It
     for m, start, case in runs[:12]:
         rows = start + case[2]
         try:
-            error = np.abs(model.checked(m, case) - fit.predicted[rows]) / fit.sigma()[rows]
+            error = np.abs(model.checked(m, case) - fit.predicted[rows]) / fit.sigma[rows]
         except IntegrationError as failed:
             yield f"the run of the fitted scene could not be checked: {failed}"
             return

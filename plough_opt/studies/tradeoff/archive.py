@@ -56,7 +56,7 @@ class Archive:
             InputError: `search` names an unknown variable, or is not a valid effort.
         """
         self.front, self.progress, self._seed, self.tried = front, progress, seed, 0
-        self._rounds = 0
+        self._rounds = self._pruned = 0
         program = front.program
         self._landscape = Landscape(program, front.neutral_parameters())
         self.vectorised = self._landscape.vectorised
@@ -104,8 +104,11 @@ class Archive:
         All others are forgotten.
         """
         objectives = self.front.normalised(self._objectives)
+        if len(objectives) == self._pruned:
+            return self._designs, objectives
         good = leads(objectives[undominated(objectives, _THINNED)], objectives) > -MATTERS
         self._designs, self._objectives = self._designs[good], self._objectives[good]
+        self._pruned = len(self._designs)
         return self._designs, objectives[good]
 
     def thinned(self) -> Array:

@@ -54,7 +54,7 @@ _AT_NODE = 1e-3
 # the front differ a little from those that trace it.
 _SOUGHT = 5e-4
 # Missed designs that are followed before the archive is compared with the front again, and most such comparisons.
-_AT_ONCE, _COMPARISONS = 8, 12
+_AT_ONCE, _COMPARISONS = {2: 8, 3: 20}, {2: 12, 3: 4}
 # Rounds of sampling around the best designs, as long as each shows that the front missed something.
 _ROUNDS = 2
 # Steps from an end of a curve to where its multipliers are unique.
@@ -243,17 +243,22 @@ class Tracer:
         """Find the whole front from the local optima of each anchor's subproblem."""
         ends = [self.candidate_of(point, p)
                 for p, points in zip(self.anchor_parameters(), anchors, strict=True) for point in points]  # fmt: skip
-        for number, end in enumerate(ends):
-            self.progress(f"following branch {number + 1} of {len(ends)}", number / len(ends))
-            self._follow(end)
-        if self.front.count > 2 and not self.archive.rich:
+        if self._sampled:
+            self.archive.sample_around_best(np.array([end.point.y for end in ends]))
+            self._solve_at_nodes()
+        else:
+            for number, end in enumerate(ends):
+                self.progress(f"following branch {number + 1} of {len(ends)}", number / len(ends))
+                self._follow(end)
+        if self.front.count == 2:
+            for k in (1, 2, 3):
+                self.progress("searching between the anchors", k / 4)
+                middle = np.array([k / 4, 1.0 - k / 4])
+                self._follow_beside(self.archive.searched_at(self._parameters_at(middle)))
+        elif not self._sampled:
             # Slopes that lead inwards may vanish at the ends.
             middle = np.mean([end.point.y for end in ends], axis=0)
             self._follow(ends[0], self._nearest(np.zeros((1, 3)))[0], middle)
-        for k in (1, 2, 3) if self.front.count == 2 else ():
-            self.progress("searching between the anchors", k / 4)
-            middle = np.array([k / 4, 1.0 - k / 4])
-            self._follow_beside(self.archive.searched_at(self._parameters_at(middle)))
         for _ in range(_ROUNDS if self.archive.rich else 1):
             if self.archive.rich:
                 self.archive.sample_around_best(np.array([own.point.y for own in self.efficient()]))
@@ -262,6 +267,22 @@ class Tracer:
         if self.front.count == 2:
             self._locate_ends()
             self._follow_missed()
+
+    @property
+    def _sampled(self) -> bool:
+        """Whether the archive shows all of a surface: its nodes are solved from there, and not one from another."""
+        return self.front.count > 2 and self.archive.rich
+
+    def _solve_at_nodes(self) -> None:
+        """Solve each node of a surface from the archive's best design nearest to it."""
+        designs, objectives = self.archive.best()
+        nodes, nearest = self._nearest(objectives), dict[Node, int]()
+        off = np.abs(self._places(objectives) - np.array(nodes)).max(axis=1)
+        for k in np.argsort(off, kind="stable").tolist():
+            nearest.setdefault(nodes[k], k)
+        for number, k in enumerate(nearest.values()):
+            self.progress("solving from the best designs seen", number / len(nearest))
+            self._beside(designs[k])
 
     def _nearest(self, objectives: Array) -> list[Node]:
         """Return the node nearest to each row of normalised objectives."""
@@ -296,27 +317,27 @@ class Tracer:
         """
         curve = self.front.count == 2
         node = self._nearest(candidate.objectives[None])[0] if node is None else node
-        reach = None if curve or not self.archive.rich else {*self._nearest(self.archive.best()[1])}
+        taken = set() if curve else self._taken()
         solved: dict[Node, Candidate] = {}
         waiting: deque[tuple[Candidate, Array, Node, int | None]] = deque()
         waiting.append((candidate, candidate.point.y if start is None else start, node, None))
         queued = {node}
         while waiting:
             before, y, node, falling = waiting.popleft()
-            reached = self._solve(
-                before, y, self._parameters_at(np.array(node) * self.step, falling), report=falling is not None
-            )
-            if reached is None or reached in self._passed.setdefault(node, []):
+            if falling is None and self._off(before, node) <= _AT_NODE:
+                reached: Candidate | None = before
+            else:
+                p = self._parameters_at(np.array(node) * self.step, falling)
+                reached = self._solve(before, y, p, report=falling is not None)
+            if reached is None or (reached is not before and reached in self._passed.setdefault(node, [])):
                 continue
-            self._passed[node].append(reached)
+            self._passed.setdefault(node, []).append(reached)
             solved[node] = reached
             if self._off(reached, node) > (_AT_NODE if curve else 1.0) or (not curve and self.is_beaten(reached)):
                 continue
             for way in sorted({*permutations((1, -1, *(0 for _ in range(self.front.count - 2))))}):
                 following = tuple(a + b for a, b in zip(node, way, strict=True))
-                if following in queued or self._outside(following) or (reach is not None and following not in reach):
-                    continue
-                if not curve and self._has(following):
+                if following in queued or following in taken or self._outside(following):
                     continue
                 queued.add(following)
                 behind = solved.get(tuple(a - b for a, b in zip(node, way, strict=True)))
@@ -327,10 +348,12 @@ class Tracer:
         """Return whether a node lies beyond the ends of a curve, or farther than a side beyond a surface's anchors."""
         return min(node) < (0 if self.front.count == 2 else -self._steps)
 
-    def _has(self, node: Node) -> bool:
-        """Return whether a candidate lies at a node that is not beaten."""
-        there = self._passed.get(node, ())
-        return any(self._off(candidate, node) <= _AT_NODE and not self.is_beaten(candidate) for candidate in there)
+    def _taken(self) -> set[Node]:
+        """Return the nodes that have an efficient candidate."""
+        objectives = self.objectives_of(self.efficient())
+        nodes = self._nearest(objectives)
+        off = np.abs(self._places(objectives) - np.array(nodes).reshape(objectives.shape)).max(axis=1, initial=0.0)
+        return {node for node, far in zip(nodes, off.tolist(), strict=True) if far <= _AT_NODE}
 
     def _solve(self, near: Candidate, start: Array, p: Array, *, report: bool = False) -> Candidate | None:
         """Return the optimum of a subproblem near a start, or None if there is none.
@@ -355,10 +378,10 @@ class Tracer:
     def _follow_missed(self) -> bool:
         """Follow the designs of the archive that the front misses; return whether that improved it."""
         improved = False
-        for number in range(_COMPARISONS):
+        for number in range(_COMPARISONS[self.front.count]):
             missed = self._missed()
             for k, y in enumerate(missed):
-                self.progress("following designs that the front misses", (number + k / len(missed)) / _COMPARISONS)
+                self.progress("following designs that the front misses", (number + k / len(missed)) / 12)
                 self._tried.add(y.tobytes())
                 improved |= self._follow_beside([y])
             if not missed:
@@ -373,7 +396,8 @@ class Tracer:
             candidate = self._beside(y)
             if candidate is not None and len(self.candidates) > before:
                 improved |= not self.is_beaten(candidate)
-                self._follow(candidate)
+                if not self._sampled:
+                    self._follow(candidate)
         return improved
 
     def _missed(self) -> list[Array]:
@@ -386,18 +410,20 @@ class Tracer:
             return []
         (designs, objectives), front = self.archive.best(), self.objectives_of(self.efficient())
         lead = leads(front, objectives)
+        leading = lead > _SOUGHT
+        designs, objectives, lead = designs[leading], objectives[leading], lead[leading]
         beats = np.max([(point - objectives).min(axis=1) for point in front], axis=0, initial=-np.inf)
         if self.front.count == 2:
             gain = np.minimum(lead, self._below_curve(front, objectives))
         else:
             far = np.min([np.abs(point - objectives).max(axis=1) for point in front], axis=0, initial=np.inf)
             gain = np.where(far > self.step, far, 0.0)
-        gain = np.where(lead > _SOUGHT, np.maximum(gain, np.where(beats > _SOUGHT, 2.0 * _SOUGHT, 0.0)), 0.0)
+        gain = np.maximum(gain, np.where(beats > _SOUGHT, 2.0 * _SOUGHT, 0.0))
         left = np.flatnonzero(gain > _SOUGHT)
         best = left[undominated(objectives[left], _SOUGHT)]
         best = best[[designs[k].tobytes() not in self._tried for k in best]] if len(best) else best
         best = best[np.argsort(-gain[best], kind="stable")]
-        return [designs[k] for k in apart(objectives, best, self.step / 2.0, _AT_ONCE)]
+        return [designs[k] for k in apart(objectives, best, self.step / 2.0, _AT_ONCE[self.front.count])]
 
     def _below_curve(self, front: Array, designs: Array) -> Array:
         """Return how far designs lie below the lines between neighbours; infinite in gaps and beyond the ends."""
@@ -420,7 +446,9 @@ class Tracer:
         objectives = front.objectives(y)
         node = self._nearest(objectives[None])[0]
         limits = [front.limited(k, objectives, _WEIGHTS[2][1]) for k in range(front.count)]
-        positions = [] if front.count == 2 or self._has(node) else [self._parameters_at(np.array(node) * self.step)]
+        positions = (
+            [] if front.count == 2 or node in self._taken() else [self._parameters_at(np.array(node) * self.step)]
+        )
         near = min(self.candidates, key=lambda other: float(np.max(np.abs(other.point.y - y)))).point
         for p in (*positions, self._parameters_at(objectives), *limits):
             point = front.solve(near, y, p)

@@ -275,15 +275,13 @@ def course_of_file(source: Source) -> SpeedProfile | None:
     return None
 
 
-def spectrum_of_file(source: Source, folder: Path) -> Spectrum | None:
-    """Return the spectrum of the record that the table of random strength names, or None."""
-    entry, place = source.written(RANDOM), RANDOM.split(".")
-    if not isinstance(entry, dict) or not isinstance(entry.get("record"), str):
+def spectrum_of_file(source: Source, table: Any, folder: Path) -> Spectrum | None:
+    """Return the spectrum of the record that the table of random strength names, or None; note what is wrong."""
+    random = table.effects.random_strength
+    if random is None or random.record is None:
         return None
-    with source.noting((*place, "record")):
-        record = read_strength_record(folder / entry["record"])
-        source.read_files[entry["record"]] = exact_text(folder / entry["record"])
-        with source.noting((*place, "base_diameter"), prefix="'base_diameter' "):
-            diameter = Unit("m").parse(entry.get("base_diameter", "0 m"))
-            return strength_spectrum(record, base_diameter=diameter)
+    with source.noting((*RANDOM.split("."), "record")):
+        record = read_strength_record(folder / random.record)
+        source.read_files[random.record] = exact_text(folder / random.record)
+        return strength_spectrum(record, base_diameter=random.base_diameter or 0.0)
     return None

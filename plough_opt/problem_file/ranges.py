@@ -33,21 +33,18 @@ def read_axis(text: str, unit: Unit, *, sampled: bool) -> tuple[Axis, Display]:
     symbol, match = f" {unit.symbol}".rstrip(), _RANGE.fullmatch(text)
     how = f'"1..5{symbol}:9" for nine values, "1..5{symbol}:9 log" for equal factors, "1{symbol}, 3{symbol}" for these'
     how = f'write {how}, or "1..5{symbol}" with a number of samples'
-    if match is None and (sampled or ".." in text):
-        raise InputError(f'"{text}" is not a range: {how}')
-    if match is None:
+    if match is None and not sampled and ".." not in text:
         return _read_list(text, unit, how)
-    if sampled != (match["count"] is None):
-        wrong = "has a number of values, which a sample does not use" if sampled else "has no number of values"
-        raise InputError(f'"{text}" {wrong}: {how}')
-    if not sampled and not match["count"].strip().isdecimal():
-        raise InputError(f'":{match["count"].strip()}" is not a number of values: {how}')
+    count = match and match["count"]
+    if match is None or sampled != (count is None) or not (sampled or str(count).strip().isdecimal()):
+        wanted = "the range of a sample" if sampled else "a range with a number of values"
+        raise InputError(f'"{text}" is not {wanted}: {how}')
     log, last = match["log"] is not None, match["upper"].strip()
     (lower, low), (upper, high) = (_split(part, last, unit) for part in (match["lower"], last))
     if low != high:  # the ends have different units, so the steps are even in SI
         lower, upper, low = lower * low, upper * high, 1.0
     with about(f'"{text}":'):
-        axis = Range(lower, upper, None if sampled else int(match["count"]), log)
+        axis = Range(lower, upper, None if sampled else int(str(count)), log)
     shown = display_of(f"1 {_unit(last)}" if _unit(last) else last, unit)
     if axis.count is None:
         return Range(lower * low, upper * low, None, log), shown

@@ -125,13 +125,13 @@ def _value_of(written: str) -> Any:
 
 def read_source(source: Source, folder: Path) -> Problem:
     """Return the problem of a parsed file; ``folder`` is the one that paths of data files start from."""
-    readings = average_readings(source, folder)
-    spectrum, course = spectrum_of_file(source, folder), course_of_file(source)
+    readings, course = average_readings(source, folder), course_of_file(source)
     try:
         table = ProblemFile.model_validate(source.data)
     except ValidationError as error:
         source.note_schema(error)
     source.raise_noted()
+    spectrum = spectrum_of_file(source, table, folder)
     variables, displays, fixed = dict[str, FileVariable](), dict[str, Display](), dict[str, float]()
     for key, declared in table.variables.items():
         with source.noting(("variables", key)):

@@ -218,7 +218,7 @@ class RandomStrengthTable(Table):
     """
 
     record: str | None = None
-    base_diameter: str | None = None
+    base_diameter: Annotated[float, Unit("m")] | None = None
 
 
 class VariableTable(Table):

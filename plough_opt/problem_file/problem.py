@@ -239,7 +239,14 @@ class Problem:
         )
 
     def soil(self, values: Mapping[str, Expression]) -> Soil:
-        """Return the soil for the values of all quantities."""
+        """Return the soil for the values of all quantities, such as those of `values`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/cotton_subsoiler.toml")
+            >>> problem.soil(problem.values({"soil.cohesion": 25e3})).cohesion
+            25000.0
+        """
         own: dict[str, Any] = {key.removeprefix("soil."): x for key, x in values.items() if key.startswith("soil.")}
         table, reading = self.table.soil, own.pop("cone_index", None)
         test = None if "density_ratio" in own else table.compaction

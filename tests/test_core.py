@@ -10,9 +10,8 @@ import pytest
 from helpers.high_precision import assert_close, derivatives, mp
 
 import plough_opt as po
-from plough_opt.core import checks
 from plough_opt.core import expressions as ex
-from plough_opt.core.checks import DomainLimit, attach, labels_in, meaning_of, shared
+from plough_opt.core.checks import DomainLimit, attach, labels_in, meaning_of
 from plough_opt.core.errors import merge
 from plough_opt.core.expressions import is_symbolic
 from plough_opt.design.model.tight_integration import TightEvaluation
@@ -142,24 +141,6 @@ def test_labels_are_found_each_with_its_meaning():
     found = [(meaning_of(node.which_function()), node.dep(1).numel()) for node in labels_in(graph)]
     assert sorted(found, key=str) == sorted([(LOW, 1), (LOW, 1), (HIGH, 1), (LOW, 3)], key=str)
     assert len({hash(node.which_function()) for node in labels_in(graph)}) == 3  # equal meanings share one
-
-
-def called(key):
-    """Return a graph that holds the only reference to the Function it calls."""
-    x = ca.MX.sym("x")
-    return shared(key, lambda: (ca.Function("own", [x], [ca.sin(x)], {"never_inline": True}), key))(x) + 1.0
-
-
-def test_meanings_live_as_long_as_the_graphs_that_use_them():
-    x, others = ca.MX.sym("x"), []
-    graphs = {k: called(k) for k in range(0, 2000, 100)}
-    for k in range(2000, 4000):
-        called(k)
-        others.append(ca.Function("other", [x], [x]))  # takes the place of a freed one
-    assert len(checks._meanings) <= len(graphs) + 200
-    assert all(meaning_of(other) is None for other in others)
-    for key, graph in graphs.items():
-        assert meaning_of(graph.dep(1).dep(0).which_function()) == key
 
 
 @pytest.mark.parametrize("medium", po.laws.LAWS)

@@ -20,7 +20,7 @@ import plough_opt as po
 from plough_opt.core.checks import LEAST, DomainLimit
 from plough_opt.core.expressions import exp
 from plough_opt.core.units import registry
-from plough_opt.motion.scene import quantities_of, with_quantities
+from plough_opt.motion.scene import quantities_of
 from plough_opt.soil import plastic
 
 U = pint.UnitRegistry()
@@ -62,16 +62,6 @@ def test_a_number_in_another_unit_warns_at_the_callers_line(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         make(meant)  # a value with its unit is meant
-
-
-def test_an_implausible_value_warns_once_and_not_where_the_toolkit_copies_it():
-    scene = scene_of(stiffness="50 N/m", motion=False)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        po.simulate(scene, 0.1)
-        with pytest.raises(po.ImplausibleValue):
-            dataclasses.replace(scene, stiffness=60.0)
-        assert with_quantities(scene, {"scene.stiffness": 60.0}).stiffness == 60.0
 
 
 def test_a_design_accepts_texts_quantities_and_numbers():

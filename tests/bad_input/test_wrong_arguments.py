@@ -343,16 +343,3 @@ def test_valid_arguments_are_accepted():
                 function(**arguments)
         elif name not in elsewhere:
             function(**arguments)
-
-
-def test_every_public_name_has_a_recipe():
-    """Errors, and results that only the package creates, need none."""
-    results = {
-        "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
-        "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "MotionEquation", "NotConverged",
-        "Optimum", "OwnResistance", "PloughError", "Problem", "ResistanceLaw", "Run",
-        "ShareInSoil", "SoilReaction", "Sweep", "TradeOff", "elastic", "export", "expressions", "laws",
-        "plastic", "plots", "soil_names", "uncertainty",
-    }  # fmt: skip
-    covered = {name.partition(".")[0].rstrip("[]()") for name in recipes()}
-    assert set(po.__all__) - results <= covered

@@ -325,11 +325,6 @@ def test_disconnected_front(contest, peer):
 
 # --- times of reading, building, solving and simulating, and how they and memory grow. No test asserts a time ---
 
-EFFECTS = {
-    "strength_wave": po.StrengthWave(0.3, 0.6), "inertial_drag": True, "damping": 250.0, "rate_term": 0.05,
-    "tow_ramp": 0.137,
-}  # fmt: skip
-COUNTS = (1, 2, 3, 4, 5)
 MEMORY = """
 import casadi as ca, numpy as np, plough_opt as po
 from pathlib import Path
@@ -364,52 +359,27 @@ def _add(contest, what, sizes, call, rounds=3):
     contest.growths.append(Growth(what, tuple(sizes), tuple(spent[size].cpu for size in sizes)))
 
 
-def _effects(count):
-    return {"inertial_drag": False, **{name: EFFECTS[name] for name in list(EFFECTS)[:count]}}
-
-
-def test_simulation(contest, r1_scene, r1_wave):
-    scene, horizons = r1_scene(strength_wave=r1_wave), [4.0 * 2.0**k for k in range(7)]
-    _add(contest, "simulate, seconds simulated", horizons, lambda t: lambda: po.simulate(scene, t))
-    outputs = (400, 1600, 6400, 25600, 102400)
-    _add(contest, "simulate, output intervals", outputs, lambda n: lambda: po.simulate(scene, 2.0, outputs=n))
-    scenes = {count: r1_scene(**_effects(count)) for count in COUNTS}
-    _add(contest, "simulate, effects that are on", COUNTS, lambda n: lambda: po.simulate(scenes[n], 2.0), 7)
-
-
-def _solved(r1_scene, duration, requirements=0, shares=1, **effects):
+def _solved(r1_scene, wave, shares):
     """Build and solve a design of two variables, which all shares have in common."""
     d = po.Design()
     angle = d.variable("angle", guess=25.0, lower=5.0, upper=60.0)
     height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
-    scenes = [r1_scene(angle, height, 5e4 + 1e3 * k, **effects) for k in range(shares)]
-    runs = [po.simulate(scene, duration) for scene in scenes]
+    scenes = [r1_scene(angle, height, 5e4 + 1e3 * k, strength_wave=wave) for k in range(shares)]
+    runs = [po.simulate(scene, 2.0) for scene in scenes]
     d.minimise(sum(run.mean_draft + run.force_rms for run in runs) / 1e3)
     d.require("loosened radius", scenes[0].loosened_radius, at_least=0.12)
-    for k in range(requirements):
-        d.require(f"spare {k}", runs[0].mean_draft * (1.0 + 0.01 * k), at_most=1e5)
     return d.solve(search="local")
 
 
-def test_design(contest, r1_scene, r1_wave):
-    what, wave = "Design built and solved", {"strength_wave": r1_wave}
-    _add(contest, f"{what}, effects that are on", COUNTS, lambda n: lambda: _solved(r1_scene, 2.0, **_effects(n)))
-    counts, horizons = (4, 8, 16, 32, 64), (2.0, 4.0, 8.0, 16.0)
-    _add(contest, f"{what}, requirements", counts, lambda n: lambda: _solved(r1_scene, 2.0, n, **wave))
-    _add(contest, f"{what}, seconds simulated", horizons, lambda t: lambda: _solved(r1_scene, t, **wave))
-    _add(contest, f"{what}, shares", counts[:-1], lambda n: lambda: _solved(r1_scene, 2.0, shares=n, **wave))
-
-
-def _designs(count):
-    return np.column_stack(r1.unscaled(np.random.default_rng(0).uniform(0.0, 1.0, (3, count))))
-
-
-def test_batch(contest, batch_of, r1_wave):
-    batch = batch_of(2.0, 1e-6, strength_wave=r1_wave)
-    sizes = {count: _designs(count) for count in (4096, 16384, 65536, 262144)}
-    _add(contest, "Batch, designs", tuple(sizes), lambda n: lambda: batch(sizes[n]))
-    batches = {count: batch_of(2.0, 1e-6, **_effects(count)) for count in COUNTS}
-    _add(contest, "Batch of 4096, effects that are on", COUNTS, lambda n: lambda: batches[n](sizes[4096]))
+def test_times_grow(contest, r1_scene, batch_of, r1_wave):
+    scene, batch = r1_scene(strength_wave=r1_wave), batch_of(2.0, 1e-6, strength_wave=r1_wave)
+    designs = {count: _domain(count) for count in (4096, 16384, 65536, 262144)}
+    horizons = [4.0 * 2.0**k for k in range(7)]
+    _add(contest, "simulate, seconds simulated", horizons, lambda t: lambda: po.simulate(scene, t))
+    outputs = (400, 1600, 6400, 25600, 102400)
+    _add(contest, "simulate, output intervals", outputs, lambda n: lambda: po.simulate(scene, 2.0, outputs=n))
+    _add(contest, "Design built and solved, shares", (4, 8, 16, 32), lambda n: lambda: _solved(r1_scene, r1_wave, n))
+    _add(contest, "Batch, designs", tuple(designs), lambda n: lambda: batch(designs[n]))
 
 
 GROWING = [

@@ -305,27 +305,6 @@ def test_unknowns_of_the_command_line_and_one_measured_by_itself(tmp_path):
     assert (done.status, "few.csv: no sigma is stated, but other sets state theirs" in done.said) == (2, True)
 
 
-REFUSED = [
-    (("--data", DATA, "--unknown", "soil.cohesion"), "--unknown soil.cohesion: expected KEY=..."),
-    (("--data", DATA, "--unknown", "soil.cohesion=1..80"), "lower bound of 'soil.cohesion' = \"1\" has no unit"),
-    (("--data", DATA, "--known", "soil.cohesion=20 +- 0 kPa"), "sigma = 0 must be above 0"),
-    (("--data", DATA, "--known", "soil.density=1 +- 1 kg/m^3"), "unknowns: effects.rate_term, soil.cohesion,"),
-    (("--data", DATA, "--set", "variables={}"), "add a table [variables], or --unknown soil.cohesion="),
-    (("--data", DATA, "--hold-out", "some"), "--hold-out some: expected a part of the rows, like 1/3"),
-    (("--data", DATA, "--hold-out", "1.5"), "part of the rows to hold out = 1.5 must be below 1"),
-    (("--data", DATA, "--hold-out", "0.3", "--hold-out-by", "scene.towspeed"), "did you mean 'scene.tow_speed'"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "words"), REFUSED)
-def test_wrong_input_is_refused_and_writes_nothing(tmp_path, monkeypatch, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    done = call("calibrate", FILE, *arguments)
-    assert (done.status, done.out) == (2, "")
-    assert words in done.said
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_the_shipped_data_are_what_their_script_makes(tmp_path):
     (tmp_path / "calibration.toml").write_text(FILE.read_text(encoding="utf-8"), encoding="utf-8")
     with imported("synthetic_draft") as script:

@@ -303,8 +303,11 @@ def test_a_command_imports_only_what_it_uses(tmp_path, monkeypatch, arguments, s
 
 # Command line in a folder with the shipped problem files, and what the message contains.
 REFUSED = tomllib.loads(Path(__file__).with_name("refused.toml").read_text(encoding="utf-8"))["refused"]
-SHORT = {"FILE": "cotton_subsoiler.toml", "TRADE": "draft_against_loosening.toml",
-         "COHESION": "--over 'soil.cohesion=5..45 kPa:3'"}  # fmt: skip
+SHORT = {
+    "FILE": "cotton_subsoiler.toml", "TRADE": "draft_against_loosening.toml",
+    "CALIBRATE": "calibrate calibration.toml --data synthetic_draft.csv",
+    "COHESION": "--over 'soil.cohesion=5..45 kPa:3'",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("line", "expected"), REFUSED, ids=[line for line, _ in REFUSED])

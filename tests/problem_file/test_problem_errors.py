@@ -92,22 +92,6 @@ def test_a_file_can_run_no_code(tmp_path, monkeypatch, refusal, place):
 # --- decimal commas ---
 
 
-@pytest.mark.parametrize(
-    ("arguments", "pieces"),
-    [
-        (("check", SUBSOILER, "--set", "scene.tow_speed=8,5 km/h"), ("comma", '"8.5 km/h"')),
-        (("check", SUBSOILER, "--set", "scene.steel_density=7,850 kg/m^3"), ("comma", '"7.850', '"7850 kg/m^3"')),
-        (("check", SUBSOILER, "--set", "effects.strength_wave.amplitude=0,3"), ("comma", '"0.3"')),
-        (("sweep", SUBSOILER, "--over", "scene.tow_speed=1,5 m/s"), ("comma", '"1.5 m/s"', '"1, 5 m/s"')),
-        (("sweep", SUBSOILER, "--over", "scene.tow_speed=1,5..2,5 m/s:3"), ("comma", '"1.5"')),
-    ],
-)
-def test_a_decimal_comma_on_the_command_line_is_named(arguments, pieces):
-    done = call(*arguments)
-    assert done.status == 2
-    assert [piece for piece in pieces if piece not in done.said] == [], done.said
-
-
 READINGS = [(0.0, 244.5, 251.0), (25.0, 644.25, 612.5), (50.0, 1033.0, 998.5)]
 
 
@@ -125,18 +109,6 @@ def test_semicolon_files_may_have_decimal_commas(tmp_path):
     for mark, comma in ((";", ","), (";", "."), ("\t", ".")):
         found = po.read_penetrometer(written(tmp_path, heading, mark, comma), (0.1, 0.4))
         assert found.insertions.tolist() == expected
-
-
-# --- names of columns and keys, and units ---
-
-
-@pytest.mark.parametrize(
-    ("key", "full"),
-    [("tow_speed", "scene.tow_speed"), ("speed", "scene.tow_speed"), ("stiffness", "scene.stiffness"),
-     ("hight", "share.height"), ("cohesion", "soil.cohesion")],
-)  # fmt: skip
-def test_a_key_without_its_table_proposes_the_whole_key(key, full):
-    assert f"did you mean '{full}'" in call("check", SUBSOILER, "--set", f"{key}=2").said
 
 
 # --- changes that deserve a note ---

@@ -129,21 +129,6 @@ def test_the_page_draws(desk):
     assert all(canvas.evaluate(DRAWN) > 5 for canvas in canvases)
 
 
-def test_values_are_read_off_by_mouse_and_keyboard(desk, written):
-    force = data_of(written.read_text(encoding="utf-8"))["charts"][0]
-    figure = desk.locator("#force")
-    over, read = figure.locator(".u-over"), figure.locator(".read")
-    over.scroll_into_view_if_needed()
-    box = over.bounding_box()
-    desk.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    middle = len(force["x"]["values"]) // 2
-    line = f"time {force['x']['values'][middle]:.4g} s: mount force {force['series'][0]['values'][middle]:.4g} kN"
-    assert read.inner_text().startswith(line)
-    figure.press("Home")
-    figure.press("ArrowRight")
-    assert read.inner_text().startswith(f"time {force['x']['values'][1]:.4g} s")
-
-
 def test_the_motion_plays_and_steps(desk):
     motion = desk.locator("#motion")
 

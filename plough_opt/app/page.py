@@ -19,7 +19,7 @@ from plough_opt.app.page_model import PageModel, design_model, page_model, shown
 from plough_opt.app.panels import Panel, changing, deflection_of, force_of
 from plough_opt.app.tables import scene_table, sensitivities_of, sensitivity_table
 from plough_opt.core.checks import path_of, whole_number
-from plough_opt.core.errors import InputError, listed
+from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number
 from plough_opt.core.files import COLOURS, check_file, text_of, write_file
 from plough_opt.core.process import optional
@@ -34,11 +34,9 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem, read_problem
 from plough_opt.problem_file.written import problem_of, tables_of
-from plough_opt.soil.geometry import Wedge
 
 if TYPE_CHECKING:
     from plough_opt.studies.tradeoff import TradeOff
-    from plough_opt.studies.tradeoff.front import FrontPoint
 
 
 def explore(
@@ -74,18 +72,16 @@ def explore(
     optional("jinja2")
     target = check_file(path_of("the page", path), "page", ".html")
     whole_number("seed", seed)
+    if duration is not None and not isinstance(question, Scene):
+        raise InputError("only a scene needs a duration: leave it out, or change the problem or design")
+    if isinstance(question, Design):
+        return write_file(target, "page", _design_page(question, seed))
     if isinstance(question, Scene):
         time = None if duration is None else float(as_number(BESIDE["scene.duration"].read(duration)))
-        known = problem_of(question, time, "A scene of Python")
-    elif duration is not None:
-        raise InputError("only a scene needs a duration: leave it out, or change the problem or design")
-    elif isinstance(question, Design):
-        made = f"plough_opt {versions()['plough_opt']}, seed {seed}"
-        text = _design_page(question.solve(seed=seed), design_model(question), "A design of Python", made)
-        return write_file(target, "page", text)
-    else:
-        known = question if isinstance(question, Problem) else read_problem(question)
-    return write_page(known, target, lambda *_: None, seed=seed)
+        question = problem_of(question, time, "A scene of Python")
+    elif not isinstance(question, Problem):
+        question = read_problem(question)
+    return write_page(question, target, lambda *_: None, seed=seed)
 
 
 def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> Path:
@@ -96,8 +92,9 @@ def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> 
         )
     if problem.variables and not (problem.table.minimise or problem.table.trade_off):
         raise InputError(f"{problem.name}: nothing to look for: add a table [minimise] or [trade_off]")
-    text = page(replace(reported(problem, notify, seed), provenance=provenance(problem, seed)))
-    return write_file(path, "page", text)
+    return write_file(
+        path, "page", page(replace(reported(problem, notify, seed), provenance=provenance(problem, seed)))
+    )
 
 
 def provenance(problem: Problem, seed: int) -> dict[str, str]:
@@ -139,9 +136,18 @@ class Report:
         """Return the unit in which the file writes a quantity or result, or a customary one for these SI values."""
         return self.problem.origin.display(key, unit, *values)
 
-    def shown(self, key: str, value: float, unit: str, digits: int = 4) -> str:
-        """Return an SI value as text in the unit of `display`."""
-        return nice(self.display(key, unit, value).text(value, digits))
+    @property
+    def shown(self) -> tuple[str, Mapping[str, float]]:
+        """Name and variables of the design that the page shows: best, knee or middle of the front, or the file's."""
+        if self.best is not None:
+            return "best", self.best.variables
+        return ("file", {}) if self.front is None else shown_of(self.front)
+
+
+def shown_of(front: TradeOff) -> tuple[str, Mapping[str, float]]:
+    """Return name and variables of the point of a front that the page shows: its knee, or one in the middle."""
+    knee = front.knee
+    return ("middle", front.points[len(front.points) // 2].variables) if knee is None else ("knee", knee.variables)
 
 
 def reported(problem: Problem, notify: Progress, seed: int = 0) -> Report:
@@ -157,7 +163,7 @@ def reported(problem: Problem, notify: Progress, seed: int = 0) -> Report:
         best, run = problem.optimise(notify, parameters=True, seed=seed)
         return Report(problem, run, best, *sensitivities_of(best, notify), front=front)
     notify("simulating", 0.0)
-    return Report(problem, problem.simulate(None if front is None else _shown(front).variables), front=front)
+    return Report(problem, problem.simulate(None if front is None else shown_of(front)[1]), front=front)
 
 
 def page(report: Report) -> str:
@@ -186,9 +192,8 @@ def _sections(report: Report) -> dict[str, Sequence[Part]]:
     response = replace(report.run.response(), title="Averages over the run, and peaks")
     scene = scene_table(report.problem, report.run.scene, report.problem.fixed, "Fixed in the scene")
     sections: dict[str, Sequence[Part]] = {
-        "question": _question(report), "answer": [_answer(report)], "warnings": _notes(report),
-        "traded": [] if front is None else front.page().parts, "response": [response], "share": [_dimensions(report)],
-        "accuracy": [_accuracy(report)], "soil": [_soil(report), scene],
+        "warnings": _notes(report), "traded": [] if front is None else front.page().parts,
+        "response": [response], "soil": [_soil(report), scene],
     }  # fmt: skip
     if best is None:
         return sections | dict.fromkeys(("design", "sensitivities"), ())
@@ -216,44 +221,6 @@ def nice(text: str) -> str:
     return re.sub(r" deg\b", "°", text).replace("*", "·").replace(" ", "\u00a0")
 
 
-def _answer(report: Report) -> str:
-    """Return the answer as one sentence."""
-    best, problem = report.best, report.problem
-    if best is None and report.front is not None:
-        ends = [f"{called(goal.name)} from {_goal(report, k, 0)} to {_goal(report, k, -1)}"
-                for k, goal in enumerate(report.front.goals)]  # fmt: skip
-        shown = f"the {_place(report.front)} of the front"
-        return f"{len(report.front.points)} efficient designs: {listed(ends)}. Shown below: {shown}."
-    if best is None:
-        draft = next(cells[1] for cells in report.run.response().rows if cells[0] == "mean draft")
-        return f"This share needs a mean draft of {nice(draft)}."
-    values = [f"{called(key)} {nice(v.display.text(best.variables[key], 4))}" for key, v in problem.variables.items()]
-    state = {"solved": "Best design", "not unique": "A best design (not unique)"}
-    found = f"{state.get(best.status, 'Best design found (not confirmed by derivatives)')}: {', '.join(values)}."
-    if best.bought is None:
-        return found
-    chosen = best.bought.variables
-    made = (f"{called(key)} {nice(v.display.result(chosen[key]))}" for key, v in problem.variables.items())
-    return f"{found} From the catalogue: {', '.join(made)} (objective {best.bought.cost_in_words})."
-
-
-def _question(report: Report) -> list[str]:
-    """Return the design question, one text for each paragraph."""
-    problem, table = report.problem, report.problem.table
-    if report.best is None and report.front is not None:
-        goals = [f"{'more' if goal.maximise else 'less'} {called(goal.name)}" for goal in report.front.goals]
-        text = [f"Choose {listed([called(key) for key in problem.variables])} for {listed(goals)}."]
-    elif report.best is None:
-        return ["What draft does this share need, and how does it move? The file has no variables."]
-    else:
-        terms = [f"{called(name)} in units of {nice(str(term.per))}" for name, term in table.minimise.items()]
-        text = [f"Choose {listed([called(key) for key in problem.variables])} to minimise {' plus '.join(terms)}."]
-    limits = [f"{called(name)} {nice(limit.words)}" for name, limit in table.require.items()]
-    if limits:
-        text.append(f"Required: {listed(limits)}.")
-    return text
-
-
 def _notes(report: Report) -> list[str]:
     """Return all warnings as sentences."""
     notes = [*(report.run.warnings if report.best is None else report.best.page().notes)]
@@ -262,64 +229,15 @@ def _notes(report: Report) -> list[str]:
     return [f"{text[:1].upper()}{text[1:]}." for text in notes]
 
 
-def _shown(front: TradeOff) -> FrontPoint:
-    """Return the point of a front that the page shows: its knee, or one in the middle."""
-    return front.knee or front.points[len(front.points) // 2]
-
-
-def _place(front: TradeOff) -> str:
-    return "middle" if front.knee is None else "knee"
-
-
-def _goal(report: Report, goal: int, point: int) -> str:
-    """Return the value of a traded result at a point of the front."""
-    assert report.front is not None  # the page asks only then
-    axis = report.front.goals[goal]
-    return report.shown(axis.name, float(report.front.objectives[point, goal]), axis.unit)
-
-
-def _dimensions(report: Report) -> Grid:
-    """Return a table of the dimensions of the share and of its cone."""
-    body, cone = report.run.scene.share, report.run.scene.cone
-    assert isinstance(body, Wedge)  # as of every problem file
-    length = report.display("share.height", "m", float(cone.height))
-    angle = report.display("share.wedge_angle", "rad")
-    rows = [
-        ("wedge angle", angle.text(float(body.angle), 4)),
-        ("chisel angle", angle.text(float(body.chisel_angle), 4)),
-        ("area of the two faces", f"{1e4 * body.area:.4g} cm^2"),
-        ("angle between the faces, as drawn", angle.text(body.opening, 4)),
-        ("height", length.text(float(cone.height), 4)),
-        ("base radius of the cone", length.text(float(cone.height * cone.slope), 4)),
-    ]
-    return Grid.pairs("Dimensions", *((name, nice(value)) for name, value in rows))
-
-
 def _soil(report: Report) -> Grid:
     """Return a table of the properties of the soil."""
     soil, rows = report.run.scene.soil, []
     for name, quantity in QUANTITIES.items():
         value = getattr(soil, quantity.key, None) if quantity.owner == "soil" else None
         if value is not None:
-            rows.append((quantity.meaning, report.shown(name, float(value), quantity.unit, 5)))
+            text = report.display(name, quantity.unit, float(value)).text(float(value), 5)
+            rows.append((quantity.meaning, nice(text)))
     return Grid.pairs(soil.name, *rows)
-
-
-def _accuracy(report: Report) -> Grid:
-    """Return a table of error estimates and computing times."""
-    run, best = report.run, report.best
-    rows = [
-        ("integration", f"{run.accuracy.method}, {len(run.time) - 1} intervals over {run.duration:g} s"),
-        ("estimated relative error of every result", f"{run.error_estimate:.0e}"),
-        ("time of the run and its check", f"{run.seconds:.2g} s"),
-    ]
-    if best is not None:
-        rows += [
-            ("difference of the objective between two accurate integrations", f"{best.error_estimate:.0e}, relative"),
-            ("difference between this objective and the optimiser's own", f"{best.gap:.0e}, relative"),
-            ("time of the search and the solve", f"{best.seconds:.2g} s"),
-        ]
-    return Grid.pairs("Errors and computing times", *rows)
 
 
 # --- data of the pictures and controls -------------------------------------------------------------------------
@@ -388,23 +306,26 @@ def motion(run: Run) -> dict[str, Any]:
 
 def _front(report: Report) -> list[dict[str, Any]]:
     """Return a chart of a front of two results."""
-    found = report.front
-    if found is None or len(found.goals) != 2:
+    front = report.front
+    if front is None or len(front.goals) != 2:
         return []
-    axes = [report.display(goal.name, goal.unit, *found.objectives[:, k]) for k, goal in enumerate(found.goals)]
-    columns = [found.objectives[:, k] / axis.factor for k, axis in enumerate(axes)]
-    x, y = ({"label": called(goal.name), "unit": _unit(axis)} for goal, axis in zip(found.goals, axes, strict=True))
+    axes, columns = [], []
+    for goal, values in zip(front.goals, front.objectives.T, strict=True):
+        unit = report.display(goal.name, goal.unit, *values)
+        axes.append({"label": called(goal.name), "unit": _unit(unit)})
+        columns.append(values / unit.factor)
     groups = [_group("efficient", _BLUE, 7, *columns)]
-    if found.knee is not None:
-        place = found.points.index(found.knee)
-        groups.append(_group("knee", _RED, 12, *([one[place]] for one in columns)))
-    says = f"{y['label']} over {x['label']} of {len(found.points)} efficient designs."
-    return [{"id": "front", "title": "Front", "says": says, "x": x, "y": y, "groups": groups}]
+    if front.knee is not None:
+        place = front.points.index(front.knee)
+        groups.append(_group("knee", _RED, 12, *([values[place]] for values in columns)))
+    says = f"{axes[1]['label']} over {axes[0]['label']} of {len(front.points)} efficient designs."
+    return [{"id": "front", "title": "Front", "says": says, "x": axes[0], "y": axes[1], "groups": groups}]
 
 
 def _explored(report: Report, model: PageModel) -> dict[str, Any]:
     """Return what the page's controls must know: its model, the best design, the file, and units over time."""
-    problem, best, knee = report.problem, report.best, report.front and _shown(report.front)
+    problem, best, front = report.problem, report.best, report.front
+    name, variables = report.shown
     panels = {panel.name: {"label": panel.name, "rows": [next(iter(panel.lines)).replace(" ", "_")],
                            **shown_in(panel.unit)}
               for panel in (force_of(report.run), deflection_of(report.run))}  # fmt: skip
@@ -415,16 +336,16 @@ def _explored(report: Report, model: PageModel) -> dict[str, Any]:
     return {
         **model.data,
         "results": results,
-        "best": best.variables if best else knee.variables if knee else {},
-        "known": "best" if best else _place(report.front) if report.front else "file",
+        "best": variables,
+        "known": name,
         "marks": [
-            _marks("other optima", _GREEN, [one.variables for one in (best.local_optima[1:] if best else ())]),
-            _marks("front", _PURPLE, [one.variables for one in (report.front.points if report.front else ())]),
+            _marks("other optima", _GREEN, best.local_optima[1:] if best else ()),
+            _marks("front", _PURPLE, front.points if front else ()),
         ],
-        "axes": [goal.name for goal in report.front.goals][:2] if report.front and not best else [],
+        "axes": [goal.name for goal in front.goals][:2] if front and not best else [],
         "objective": bool(problem.table.minimise),
-        "command": "optimise" if best else "tradeoff" if knee else "simulate",
-        "certifies": bool(best or knee),
+        "command": "optimise" if best else "tradeoff" if front else "simulate",
+        "certifies": name != "file",
         "orbit": problem.scene().effects.orbit != "transient",
         "panels": panels,
         "without": without_random(problem),
@@ -435,24 +356,19 @@ def _explored(report: Report, model: PageModel) -> dict[str, Any]:
     }
 
 
-def _marks(label: str, colour: str, designs: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+def _marks(label: str, colour: str, designs: Iterable[Any]) -> dict[str, Any]:
     """Return designs that Python computed, for the page's landscape."""
-    return {"label": label, "colour": colour, "designs": [dict(one) for one in designs]}
+    return {"label": label, "colour": colour, "designs": [dict(design.variables) for design in designs]}
 
 
-def _design_page(best: Optimum, model: PageModel, title: str, made: str) -> str:
-    """Return the page of a design as HTML; ``made`` identifies how it was made."""
-    optima = [_marks("other optima", _GREEN, [one.variables for one in best.local_optima[1:]])]
-    known = {"marks": optima, "best": best.variables, "error": max(best.gap, best.error_estimate)}
-    shown = {"charts": [], "front": [], "model": model.data | known}
-    return rendered(
-        "design.html",
-        title=title,
-        best=best,
-        made=made,
-        data=shown,
-        model=model,
-    )
+def _design_page(design: Design, seed: int) -> str:
+    """Return the page of a design as HTML."""
+    best, model = design.solve(seed=seed), design_model(design)
+    optima = [_marks("other optima", _GREEN, best.local_optima[1:])]
+    more = {"marks": optima, "best": best.variables, "error": max(best.gap, best.error_estimate)}
+    data = {"charts": [], "front": [], "model": model.data | more}
+    made = f"plough_opt {versions()['plough_opt']}, seed {seed}"
+    return rendered("design.html", title="A design of Python", best=best, made=made, data=data, model=model)
 
 
 def rendered(name: str, **values: Any) -> str:
@@ -460,6 +376,7 @@ def rendered(name: str, **values: Any) -> str:
     jinja = optional("jinja2")
     around = jinja.Environment(autoescape=True, loader=jinja.FunctionLoader(asset), undefined=jinja.StrictUndefined,
                                trim_blocks=True, lstrip_blocks=True)  # fmt: skip
+    around.filters |= {"called": called, "nice": nice}
     text: str = around.get_template(name).render(asset=asset, **values)
     return text
 

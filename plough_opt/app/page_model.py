@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from plough_opt.core.checks import LARGEST, DomainLimit, unlabelled
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, gauss_legendre, is_symbolic, stacked
+from plough_opt.core.expressions import gauss_legendre, is_symbolic, stacked
 from plough_opt.core.quantities import EVERY, Quantity, wave_table
 from plough_opt.core.units import Display, customary
 from plough_opt.design import Design
@@ -24,7 +24,6 @@ from plough_opt.exchange.export.javascript import Source
 from plough_opt.motion import Run
 from plough_opt.motion.effects import Own
 from plough_opt.motion.effects.own import slopes
-from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.run import WITHOUT_RANDOM, Averages
@@ -132,7 +131,7 @@ def page_model(problem: Problem) -> PageModel:
         listed.append(f"{json.dumps(key)}: {{ {names} }}")
     data = {
         "inputs": [_input(problem, key, value, declared.get(key)) for key, value in values.items()],
-        "results": [_result(problem, name, unit) for name, unit in _wanted(problem, problem.scene()).items()],
+        "results": [_result(problem, name, unit) for name, (unit, _) in _wanted(problem, problem.scene()).items()],
         "rows": ROWS,
         "averages": AVERAGES,
         "requirements": _requirements(problem),
@@ -186,25 +185,36 @@ def design_model(design: Design) -> PageModel:
 def _declared(symbol: Variable | Parameter) -> dict[str, Any]:
     """Return name, unit, bounds and domain of a variable or parameter of a design."""
     if isinstance(symbol, Variable):
-        value, display, low, high = symbol.guess, symbol.shown, symbol.lower, symbol.upper
-        group, log, ends = "variables", bool(symbol.log), (low, high)
+        low, high = symbol.lower, symbol.upper
         why = "the steps of this page resolve the motion between these bounds"
-    else:
-        value, ends, why = symbol.value, symbol.domain, ""
-        group, log = symbol.name.rpartition(".")[0] or "parameters", False
-        size, display = abs(value) or 1.0, customary(symbol.unit, value)
-        low, high = max(ends[0], value - size / 2.0), min(ends[1], value + size)
-    limit = DomainLimit(symbol.name, symbol.unit, at_least=max(ends[0], -LARGEST), at_most=min(ends[1], LARGEST),
-                        why=why)  # fmt: skip
-    about = {"lower": low, "upper": high, "log": log, "value": value, "steps": None}
-    return about | _named(symbol.name, symbol.unit, display, group, limit)
+        limit = DomainLimit(symbol.name, symbol.unit, at_least=low, at_most=high, why=why)
+        return _slider(symbol.name, symbol.guess, symbol.shown, "variables", limit, (low, high), bool(symbol.log))
+    low, high = max(symbol.domain[0], -LARGEST), min(symbol.domain[1], LARGEST)
+    limit = DomainLimit(symbol.name, symbol.unit, at_least=low, at_most=high)
+    group, display = symbol.name.rpartition(".")[0] or "parameters", customary(symbol.unit, symbol.value)
+    return _slider(symbol.name, symbol.value, display, group, limit, _around(symbol.value, low, high))
 
 
-def _named(name: str, unit: str, display: Display, group: str, limit: DomainLimit) -> dict[str, Any]:
-    """Return what the page says of a quantity, besides its value and where it moves."""
+def _around(value: float, low: float, high: float) -> tuple[float, float]:
+    """Return where a quantity without bounds of its own moves: from half to twice its value, inside its domain."""
+    size = abs(value) or 1.0
+    return max(low, value - size / 2.0), min(high, value + size)
+
+
+def _slider(
+    name: str,
+    value: float,
+    display: Display,
+    group: str,
+    limit: DomainLimit,
+    ends: tuple[float, float],
+    log: bool = False,
+    steps: Sequence[float] | None = None,
+) -> dict[str, Any]:
+    """Return what the page says of a quantity, its value, and where it moves."""
     return {
-        "name": name, "label": called(name), "unit": unit, **shown_in(display), "group": group,
-        "variable": group == "variables", "limit": _limit(limit),
+        "name": name, "label": called(name), **shown_in(display), "group": group, "variable": group == "variables",
+        "limit": _limit(limit), "value": value, "lower": ends[0], "upper": ends[1], "log": log, "steps": steps,
     }  # fmt: skip
 
 
@@ -243,14 +253,24 @@ def _variant(problem: Problem, given: Mapping[str, Any], x: Any, changes: Mappin
     states, count, squared = (equation.states, equation.count, equation.squared) if equation else (2, 0, 0)
     time, state, five = kind.sym("time"), kind.sym("state", states), kind.sym("five", len(AVERAGES))
     means, variances = kind.sym("means", count), kind.sym("variances", squared)
+    # Resistances of the user's own decide the first number of steps by their slopes at the file's values.
+    usual = problem.scene()
+    own = slopes(Own.of(usual), parameters(usual)) if usual.effects.own else {}
     with unlabelled():
         p = parameters(scene)
         duration = scene.wave_period if structure.orbit != "transient" else problem.values(given)["scene.duration"]
-        rate = rates(p | _slopes(problem)).summed if moves else forced_rate(p)
-        run = _at(scene, p, time, state)
+        rate = rates(p | own).summed if moves else forced_rate(p)
+        none = ca.DM.zeros(count)
+        run = (
+            assemble(scene, p, time, np.ones(1), state.T, none, none, Accuracy())
+            if moves
+            else quasi_static(scene, p, time, Timeline(1, 1), Accuracy(), 1)
+        )
+        averaged = replace(run, averages=Averages(*ca.vertsplit(five)))
+        last = (getattr(run, name) for name in (*ROWS, "mode"))
         results = [
-            stacked(*(_last(getattr(run, name)) for name in (*ROWS, "mode"))),
-            stacked(*_measured(problem, replace(run, averages=Averages(*ca.vertsplit(five))))),
+            stacked(*(values[-1] if getattr(values, "shape", ()) else values for values in last)),
+            stacked(*(of(averaged) for _, of in _wanted(problem, scene).values())),
         ]
         if moves:
             run = assemble(scene, p, time, np.ones(1), state.T, means, variances, Accuracy())
@@ -283,43 +303,18 @@ def _variant(problem: Problem, given: Mapping[str, Any], x: Any, changes: Mappin
     return _Variant((setup, limited, stacked(kind(), *itertools.chain(*constants)), column), functions, data)
 
 
-def _slopes(problem: Problem) -> dict[str, float]:
-    """Return the slopes of the user's own resistances, which decide the first number of steps, at the file's values."""
-    scene = problem.scene()
-    return slopes(Own.of(scene), parameters(scene)) if scene.effects.own else {}
-
-
 def _dense(name: str, *parts: Any) -> ca.Function:
     *arguments, result = parts
     return ca.Function(name, arguments, [ca.densify(result)])
 
 
-def _last(values: Any) -> Any:
-    return values[-1] if hasattr(values, "shape") and values.shape != () else values
-
-
-def _at(scene: Scene, p: Parameters, time: Any, state: Any) -> Run:
-    """Return the run whose last output is at a time, with a state that has been integrated up to then."""
-    if not scene.effects.motion:
-        return quasi_static(scene, p, time, Timeline(1, 1), Accuracy(), 1)
-    none = ca.DM.zeros(equation_of(Structure.of(scene)).count)
-    return assemble(scene, p, time, np.ones(1), state.T, none, none, Accuracy())
-
-
-def _wanted(problem: Problem, scene: Scene) -> dict[str, str]:
-    """Return name -> SI unit of the results that the page shows, beside those over time."""
-    every = MEASURES
-    named = dict.fromkeys([*_SHOWN, *problem.table.minimise, *problem.table.require])
-    found = {name: every[name].unit.symbol for name in named
-             if every[name].given_by(scene.law) and not every[name].everywhere}  # fmt: skip
-    return {"objective": "", **found} if problem.table.minimise else found
-
-
-def _measured(problem: Problem, run: Run) -> list[Expression]:
-    """Return the results of a run in the order of `_wanted`."""
-    every = MEASURES
-    own = {"objective": problem.objective, **{name: measure.of for name, measure in every.items()}}
-    return [own[name](run) for name in _wanted(problem, run.scene)]
+def _wanted(problem: Problem, scene: Scene) -> dict[str, tuple[str, Callable[[Run], Any]]]:
+    """Return name -> SI unit and function of a run, of the results that the page shows, beside those over time."""
+    names = dict.fromkeys([*_SHOWN, *problem.table.minimise, *problem.table.require])
+    measures = {name: MEASURES[name] for name in names}
+    own = {name: (measure.unit.symbol, measure.of) for name, measure in measures.items()
+           if measure.given_by(scene.law) and not measure.everywhere}  # fmt: skip
+    return {"objective": ("", problem.objective), **own} if problem.table.minimise else own
 
 
 def _input(problem: Problem, key: str, value: float, variable: FileVariable | None) -> dict[str, Any]:
@@ -327,14 +322,11 @@ def _input(problem: Problem, key: str, value: float, variable: FileVariable | No
     quantity = EVERY[key]
     display = problem.origin.display(key, quantity.unit, value)
     limit = _domain(problem, quantity)
-    # A quantity without bounds of its own moves between half and twice its value, inside its domain.
-    size = abs(value) or 1.0
-    low = min(value, variable.lower) if variable else max(quantity.low, limit.at_least, value - size / 2.0)
-    high = max(value, variable.upper) if variable else min(quantity.high, limit.at_most, value + size)
+    ends = _around(value, max(quantity.low, limit.at_least), min(quantity.high, limit.at_most))
+    if variable:
+        ends = min(value, variable.lower), max(value, variable.upper)
     group = "variables" if key in problem.variables else quantity.owner
-    log, steps = bool(variable and variable.log), _steps(variable)
-    about = {"lower": low, "upper": high, "log": log, "value": value, "steps": steps}
-    return about | _named(key, quantity.unit, display, group, limit)
+    return _slider(key, value, display, group, limit, ends, bool(variable and variable.log), _steps(variable))
 
 
 def _domain(problem: Problem, quantity: Quantity) -> DomainLimit:
@@ -390,10 +382,10 @@ def shown_in(display: Display) -> dict[str, Any]:
 
 def _requirements(problem: Problem) -> list[dict[str, Any]]:
     """Return name and limits of each requirement in the file."""
-    every, found = MEASURES, []
+    requirements = []
     for name, table in problem.table.require.items():
-        low, high = table.ends(every[name].unit)
-        everywhere = name in MEASURES and MEASURES[name].everywhere
-        found.append({**_result(problem, name, every[name].unit.symbol), "low": low, "high": high,
-                      "everywhere": everywhere, "words": table.words})  # fmt: skip
-    return found
+        measure = MEASURES[name]
+        low, high = table.ends(measure.unit)
+        requirements.append({**_result(problem, name, measure.unit.symbol), "low": low, "high": high,
+                             "everywhere": measure.everywhere, "words": table.words})  # fmt: skip
+    return requirements

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, printable
 from plough_opt.core.files import check_file, check_format, check_writable, save_figure, write_file
 from plough_opt.core.process import optional
 from plough_opt.core.screen import Screen, progress_on
@@ -31,24 +31,20 @@ _LIBRARY = logging.getLogger("plough_opt")
 _LEVELS: Final = (logging.WARNING, logging.INFO, logging.DEBUG)
 
 
-class _ErrorStream(logging.Handler):
-    """Handler that prints each message on its own line, after the time since the start if ``timed``."""
+class _Lines(logging.Formatter):
+    """Messages as lines, without what a terminal would obey."""
 
-    def __init__(self, timed: bool) -> None:
-        super().__init__()
-        self._timed = timed
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Print a message."""
-        time = f"{record.relativeCreated / 1e3:8.2f} s  " if self._timed else ""
-        Screen(stderr=True, soft_wrap=True).print(f"{time}{record.getMessage()}")
+    def format(self, record: logging.LogRecord) -> str:
+        """Return a message as a line."""
+        return printable(super().format(record))
 
 
 @contextmanager
 def messages(options: argparse.Namespace) -> Iterator[None]:
     """Show messages during one command, as many as -q and -v request."""
     verbose = min(options.verbose, len(_LEVELS) - 1)
-    handler = _ErrorStream(timed=verbose > 0)
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Lines("%(relativeCreated)8.0f ms  %(message)s" if verbose else None))
     before = _LIBRARY.level, LOG.level
     _LIBRARY.addHandler(handler)
     _LIBRARY.setLevel(_LEVELS[verbose])

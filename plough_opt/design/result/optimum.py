@@ -638,13 +638,11 @@ class Choice:
         values: name of the variable -> value.
         objective: best objective with these values; None if no design with them meets the requirements.
         conflicts: name of the requirement that fails -> least violation, in its unit.
-        spread: objective and margins within the tolerances; None if the combination fails or this takes too long.
     """
 
     values: dict[str, float]
     objective: float | None
     conflicts: dict[str, float]
-    spread: Spread | None = None
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -98,24 +98,6 @@ def _percent(name: str, elasticity: float | None, derivative: float, unit: str) 
     return f"{name} by 0 %" if abs(elasticity) < NO_PERCENTAGE else f"{name} by {elasticity:+.4g} %"
 
 
-@dataclass(frozen=True)
-class _Target:
-    """A parameter, given by its number, or a limit, given by the name of its sides."""
-
-    value: float
-    unit: str
-    parameter: int | None = None
-    side: str = ""
-    domain: tuple[float, float] = EVERYWHERE
-
-    def within(self, end: float, then: str) -> tuple[float | None, str]:
-        """Return the end of a range, clipped at the model's domain, and what happens there; None without an end."""
-        if not math.isfinite(end):
-            return None, then
-        inside = min(max(end, self.domain[0]), self.domain[1])
-        return inside, then if inside == end else "the model's domain ends"
-
-
 class Solved:
     """A program with its optimum, which evaluates expressions and sensitivities there.
 
@@ -145,9 +127,9 @@ class Solved:
             rounder: (this object, catalogues) -> the optimum with some variables rounded.
         """
         self.program, self.p, self.point, self.rounder = program, p, point, rounder
-        self._fixed = tuple(fixed)
+        self._fixed = list(fixed)
         self.values = program.values(point.y)
-        self.values[list(self._fixed)] = list(fixed.values())
+        self.values[self._fixed] = list(fixed.values())
 
     def __deepcopy__(self, _memo: object) -> Solved:
         """Return this object, which never changes."""
@@ -179,132 +161,124 @@ class Solved:
     def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
         """Return the sensitivity to a parameter or a limit: see `Optimum.sensitivity`."""
         check_switch("check", check)
-        target = self._target(name)
-        change = self._active.change(target.parameter, target.side)
-        up, down = self._active.move(change, 1.0), self._active.move(change, -1.0)
-        objective = self._active.objective_slope(change) * self.program.objective_scale
-        best = self._active.f * self.program.objective_scale
-        named, slopes = self.program.declared.named, self._slopes
-        rising, falling = named(up.y * slopes), named(down.y * slopes)
-        sizes, values = named(slopes), named(self._unscaled(self._active.y))
-        lowest, below = target.within(target.value - down.until, down.then)
-        highest, above = target.within(target.value + up.until, up.then)
-        differs = bool(np.max(np.abs(up.y - down.y)) > _ONE_SIDED * np.max(np.abs([up.y, down.y])))
+        value, unit, domain, change = self._asked(name)
+        active, program = self._active, self.program
+        named, scale = program.declared.named, program.objective_scale
+        up, until_up, above = active.move(change, 1.0)
+        down, until_down, below = active.move(change, -1.0)
+        differs = bool(np.max(np.abs(up - down)) > _ONE_SIDED * np.max(np.abs([up, down])))
+        objective, slopes = active.objective_slope(change) * scale, self._slopes
+        rising, sizes, values = named(up * slopes), named(slopes), named(self._unscaled(active.y))
+        (lowest, below), (highest, above) = (
+            (
+                None if math.isinf(end) else inside,
+                then if inside == end or math.isinf(end) else "the model's domain ends",
+            )
+            for end, then in ((value - until_down, below), (value + until_up, above))
+            for inside in [min(max(end, domain[0]), domain[1])]
+        )
         return Sensitivity(
             name=name,
-            value=target.value,
-            unit=target.unit,
+            value=value,
+            unit=unit,
             objective=objective,
             variables=rising,
-            elasticity=_elasticity(objective, target.value, best, self.program.objective_scale),
-            elasticities={v: _elasticity(rising[v], target.value, values[v], sizes[v]) for v in rising},
+            elasticity=_elasticity(objective, value, active.f * scale, scale),
+            elasticities={v: _elasticity(rising[v], value, values[v], sizes[v]) for v in rising},
             valid_from=lowest,
             valid_to=highest,
             then=(below, above),
-            touching=self._active.names(self._active.weak) if differs else (),
-            falling=falling,
-            difference=self._difference(target, objective, up, down) if check else None,
+            touching=active.names(active.weak) if differs else (),
+            falling=named(down * slopes),
+            difference=self._difference(value, change, objective, differs) if check else None,
         )
 
     def every(self) -> tuple[Sensitivity, ...]:
         """Return the sensitivities to all parameters that matter and all limits that decide, largest first."""
-        matters = self._active.parameters_that_matter
+        active = self._active
+        # A parameter matters if it changes the objective, a requirement or one of their slopes here.
+        matters = np.any(np.vstack([active.gradient, active.gradients, active.hessian])[:, active.n :] != 0.0, axis=0)
         names = [p.name for p, matter in zip(self.program.declared.parameters, matters, strict=True) if matter]
-        names += [name for name in self._active.names(self._active.deciding) if name in self._limits]
-        return tuple(sorted(map(self.sensitivity, names), key=lambda one: -abs(one.elasticity or 0.0)))
+        names += [name for name in active.names(active.deciding) if name in self._limits]
+        return tuple(sorted(map(self.sensitivity, names), key=lambda item: -abs(item.elasticity or 0.0)))
 
-    # --- parameters and limits by name -------------------------------------------------------------------
-
-    def _target(self, name: str) -> _Target:
-        """Return the parameter or limit with a name.
+    def _asked(self, name: str) -> tuple[float, str, tuple[float, float], Change]:
+        """Return value, unit, domain and a change by one unit of the parameter or limit with a name.
 
         Raises:
             InputError: there is none; the message lists all names.
         """
         check_kind("the name", name, str, "that of a parameter or a limit")
-        for k, (parameter, value) in enumerate(zip(self.program.declared.parameters, self.p, strict=True)):
-            if parameter.name == name:
-                return _Target(float(value), parameter.unit, parameter=k, domain=parameter.domain)
-        if name in self._limits:
-            return self._limits[name]
-        parameters = [parameter.name for parameter in self.program.declared.parameters]
+        parameters, sides = self.program.declared.parameters, self._active.sides
+        names = [parameter.name for parameter in parameters]
+        if name in names:
+            k = names.index(name)
+            change = np.eye(len(names))[k], np.zeros(len(sides))
+            return float(self.p[k]), parameters[k].unit, parameters[k].domain, change
+        if asked := self._limits.get(name):
+            moved = np.array([side.per_unit * (side.name == asked.name) for side in sides])
+            return asked.limit, asked.unit, asked.domain, (np.zeros(len(names)), moved)
         own = [limit for limit in self._limits if limit.rpartition(" ")[0] == name]
-        hint = f"did you mean {' or '.join(map(repr, own))}?" if own else nearest(name, [*parameters, *self._limits])
+        hint = f"did you mean {' or '.join(map(repr, own))}?" if own else nearest(name, [*names, *self._limits])
         end = "" if hint.endswith("?") else "."
         raise InputError(
             f"{shown(name)} is neither a parameter nor a limit of this design: {hint}{end} Parameters:"
-            f" {', '.join(parameters) or 'none'}; limits: {', '.join(self._limits)}. To get the sensitivity to a"
+            f" {', '.join(names) or 'none'}; limits: {', '.join(self._limits)}. To get the sensitivity to a"
             " quantity that was given as a number, declare it with design.parameter"
         )
 
     @cached_property
-    def _limits(self) -> dict[str, _Target]:
+    def _limits(self) -> dict[str, Side]:
         """Limits by the names that users may give: a requirement's own name will do if it has just one limit."""
-        sides = [side for side in sides_of(self.program, self.point, self._fixed) if not side.hidden]
-        found = {side.name: _Target(side.limit, side.unit, side=side.name, domain=side.domain) for side in sides}
-        names: dict[str, set[str]] = {}
-        for side in sides:
-            names.setdefault(side.owner, set()).add(side.name)
-        return found | {owner: found[min(own)] for owner, own in names.items() if len(own) == 1}
-
-    # --- units -------------------------------------------------------------------------------------------
+        limits = {side.name: side for side in self._active.sides if not side.hidden}
+        owners = [side.owner for side in limits.values()]
+        return limits | {side.owner: side for side in limits.values() if owners.count(side.owner) == 1}
 
     @property
     def _slopes(self) -> Vector:
         """Derivatives of the variables in their units by the scaled variables."""
-        found = zip(self.program.declared.variables, self._active.y.tolist(), strict=True)
-        return np.array([v.slope(y) for v, y in found])
+        pairs = zip(self.program.declared.variables, self._active.y.tolist(), strict=True)
+        return np.array([v.slope(y) for v, y in pairs])
 
     def _unscaled(self, y: Vector) -> list[float]:
         """Return the variables in their units, also beyond their declared bounds, which a check may move."""
         return [float(v.unscaled(float(x))) for v, x in zip(self.program.declared.variables, y, strict=True)]
 
-    # --- solving again -----------------------------------------------------------------------------------
-
-    def _difference(self, target: _Target, objective: float, up: Move, down: Move) -> float:
+    def _difference(self, value: float, change: Change, objective: float, differs: bool) -> float:
         """Return `Sensitivity.difference`, from solving again with a smaller and with a larger value."""
-        size = abs(target.value) or 1.0
-        ranges = [v.upper - v.lower for v in self.program.declared.variables]
-        here = np.r_[self._active.f * self.program.objective_scale, self._unscaled(self._active.y)]
-        scales = np.r_[max(abs(here[0]), self.program.objective_scale), ranges]
+        active, scale, size = self._active, self.program.objective_scale, abs(value) or 1.0
+        here = np.r_[active.f * scale, self._unscaled(active.y)]
+        scales = np.r_[max(abs(here[0]), scale), [v.upper - v.lower for v in self.program.declared.variables]]
         errors, steps = [], []
-        for move, sign in ((up, 1.0), (down, -1.0)):
-            # Relative change of the value for which a check solves again: the differences have errors of its square,
-            # and of the optimiser's 1e-10 divided by it.
-            step = min(2e-4 * size, 0.5 * move.until)
-            expected = np.r_[objective, move.y * self._slopes]
-            slope = (self._solved_at(target, sign * step) - here) / (sign * step)
-            errors.append((slope - expected) * size / scales)
+        for sign in (1.0, -1.0):
+            move, until, _ = active.move(change, sign)
+            # The differences have errors of the square of this relative change, and of IPOPT's 1e-10 divided by it.
+            step = min(2e-4 * size, 0.5 * until)
+            slope = (self._solved_at(change, sign * step) - here) / (sign * step)
+            errors.append((slope - np.r_[objective, move * self._slopes]) * size / scales)
             steps.append(step)
-        (rising, falling), (up_step, down_step) = errors, steps
         # If the same limits decide on both sides, the mean is free of the curvature.
-        mean = (rising * down_step + falling * up_step) / (up_step + down_step)
-        same = np.allclose(up.y, down.y, rtol=_ONE_SIDED, atol=0.0)
-        return float(np.max(np.abs(mean if same else np.r_[rising, falling])))
+        return float(np.max(np.abs(errors if differs else np.average(errors, axis=0, weights=steps[::-1]))))
 
-    def _solved_at(self, target: _Target, step: float) -> Vector:
-        """Return objective and variables of the design solved again with the parameter or limit moved by a step."""
-        program, p = self.program, self.p.copy()
-        low, high = program.low.copy(), program.high.copy()
-        lower, upper = np.zeros(len(self._active.y)), np.ones(len(self._active.y))
-        held = list(self._fixed)
-        lower[held] = upper[held] = self._active.y[held]
-        if target.parameter is not None:
-            p[target.parameter] += step
-        count = len(low)
-        for side in self._active.sides:
-            if side.name != target.side:
-                continue
-            if side.row >= count:
-                v = program.declared.variables[side.row - count]
-                (lower if side.sign > 0.0 else upper)[side.row - count] = v.scaled(target.value + step)
-                continue
-            if side.sign > 0.0:
-                low[side.row] += step * side.per_unit
-            if side.sign < 0.0 or side.equality:
-                high[side.row] += step * abs(side.per_unit)
-        solver = Solver(program.built.nlp, low, high, program.ipopt)
-        point = solver.solve(np.clip(self._active.y, lower, upper), p, lower, upper, SolveOptions(near=True))
+    def _solved_at(self, change: Change, step: float) -> Vector:
+        """Return objective and variables of the design solved again after a step of a change."""
+        program, active, count = self.program, self._active, len(self.program.low)
+        low, high = np.r_[program.low, np.zeros(active.n)], np.r_[program.high, np.ones(active.n)]
+        held = count + np.array(self._fixed, dtype=int)
+        low[held] = high[held] = active.y[self._fixed]
+        for side, moved in zip(active.sides, change[1].tolist(), strict=True):
+            if moved:
+                end = side.sign * (side.bound + step * moved)
+                if side.row >= count:
+                    end = program.declared.variables[side.row - count].scaled(side.limit + step)
+                if side.sign > 0.0:
+                    low[side.row] = end
+                if side.sign < 0.0 or side.equality:
+                    high[side.row] = end
+        lower, upper = low[count:], high[count:]
+        solver = Solver(program.built.nlp, low[:count], high[:count], program.ipopt)
+        start, p = np.clip(active.y, lower, upper), self.p + step * change[0]
+        point = solver.solve(start, p, lower, upper, SolveOptions(near=True))
         if not point.solved:
             raise NotConverged(f"the check could not solve the design near the value: {point.status}", point.status)
         return np.array([point.f * program.objective_scale, *self._unscaled(point.y)])
@@ -314,9 +288,6 @@ def _elasticity(derivative: float, value: float, result: float, size: float) -> 
     """Return per cent of a result per per cent of a value; None if the result is 0 but for rounding of its size."""
     # Results below this part of their size, the optimiser's tolerance, count as 0: they have no elasticity.
     return None if abs(result) <= 1e-10 * size else derivative * value / result
-
-
-Mask = NDArray[np.bool_]
 
 
 # Scaled margins and multipliers below this count as zero.
@@ -366,21 +337,6 @@ Change = tuple[Vector, Vector]
 """A change of the problem: of the parameters, and of the scaled bounds of the sides."""
 
 
-@dataclass(frozen=True)
-class Move:
-    """The move of the optimum per unit of a change.
-
-    Attributes:
-        y: derivatives of the scaled variables.
-        until: amount of the change at which the active set changes, to first order; infinity if it never does.
-        then: in words, the side that begins or ceases to decide there; "" if none does.
-    """
-
-    y: Vector
-    until: float
-    then: str
-
-
 class ActiveSet:
     """The sides that decide an optimum, and how it moves with parameters and limits.
 
@@ -414,10 +370,10 @@ class ActiveSet:
         self._program, self._p = program, p
         self._nlp = program.with_parameters_varied()
         self.n = len(point.y)
-        self.sides = sides_of(program, point, fixed)
+        self.sides = [*_sides_of_requirements(program), *_sides_of_variables(program, point, fixed)]
         self._rows = np.array([side.row for side in self.sides])
         self._equal = np.array([side.equality for side in self.sides], dtype=bool)
-        self._signs, self._bounds, self._logs = np.array([(one.sign, one.bound, one.log) for one in self.sides]).T
+        self._signs, self._bounds, self._logs = np.array([(side.sign, side.bound, side.log) for side in self.sides]).T
         self._settle(point)
         self.deciding = self._equal | (self.mu > _VANISHING)
         touching = np.abs(self.slack) <= _VANISHING
@@ -425,8 +381,6 @@ class ActiveSet:
         touching &= np.any(np.abs(self.gradients[:, : self.n]) > 1e-12, axis=1)
         self.weak = np.flatnonzero(touching & ~self.deciding)
         self._refuse_degenerate()
-
-    # --- the optimum itself ------------------------------------------------------------------------------
 
     def _settle(self, point: Point) -> None:
         """Solve the optimality conditions by Newton's method, correcting the active set after each step."""
@@ -436,7 +390,7 @@ class ActiveSet:
         active = self._equal | decides(self.slack, mu)
         for _ in range(10):
             mu = np.zeros(len(mu))
-            step, mu[active] = self._newton_step(active, self.gradient[: self.n], self.slack[active])
+            step, mu[active] = self._step(active, self.gradient[: self.n], self.slack)
             y = self.y + step
             # Farther from IPOPT's point it has left for another optimum.
             if not np.all(np.abs(y - point.y) < 1e-3):
@@ -455,9 +409,10 @@ class ActiveSet:
             "the limits that decide this optimum cannot be distinguished from those that it only touches", "unsettled"
         )
 
-    def _newton_step(self, active: Mask, gradient: Vector, gaps: Vector) -> tuple[Vector, Vector]:
+    def _step(self, active: NDArray[np.bool_], gradient: Vector, gaps: Vector) -> tuple[Vector, Vector]:
         """Return `newton_step` with certain sides active."""
-        return newton_step(self.hessian[: self.n, : self.n], gradient, self.gradients[active, : self.n], gaps)
+        h, rows = self.hessian[: self.n, : self.n], self.gradients[active, : self.n]
+        return newton_step(h, gradient, rows, gaps[active])
 
     def _evaluate(self, y: Vector, mu: Vector) -> None:
         """Set the values, gradients and Hessian of the Lagrangian at a design with certain multipliers."""
@@ -479,18 +434,20 @@ class ActiveSet:
                 v = program.declared.variables[side.row - count]
                 self.slack[k] = (float(v.unscaled(float(y[side.row - count]))) - side.limit) * side.per_unit
 
-    # --- how it moves ------------------------------------------------------------------------------------
-
     def objective_slope(self, change: Change) -> float:
         """Return d objective / d change, scaled: the change of the Lagrangian (envelope theorem)."""
         q, b = change
         return float((self.gradient - self.gradients.T @ self.mu)[self.n :] @ q + self.mu @ b)
 
-    def move(self, change: Change, direction: float) -> Move:
+    def move(self, change: Change, direction: float) -> tuple[Vector, float, str]:
         """Return the move of the optimum per unit of a change, for a growing (1) or falling (-1) amount of it.
 
         Any subset of the weakly active sides may hold the optimum as it moves. The subsets are tried from small to
         large.
+
+        Returns:
+            Derivatives of the scaled variables; the amount of the change at which the active set changes, to first
+            order, infinity if it never does; and in words the side that begins or ceases to decide there, or "".
 
         Raises:
             InputError: no subset fits, so the optimum does not move along a line.
@@ -503,7 +460,7 @@ class ActiveSet:
                     return move
         raise InputError("the optimum has no derivative here: limits that just touch it leave no single direction")
 
-    def _along(self, active: Mask, change: Change, direction: float) -> Move | None:
+    def _along(self, active: NDArray[np.bool_], change: Change, direction: float) -> tuple[Vector, float, str] | None:
         """Return the move with certain sides active, or None if it would break a side or need a negative multiplier."""
         n, (q, b) = self.n, change
         if not self._curved(self.gradients[active, :n]):
@@ -512,7 +469,7 @@ class ActiveSet:
         # Rates of the slacks: first with the variables held, later with their move.
         opening = self.gradients[:, n:] @ q - b
         mu_rate = np.zeros(len(self.mu))
-        dy, mu_rate[active] = self._newton_step(active, l_yq_dq, opening[active])
+        dy, mu_rate[active] = self._step(active, l_yq_dq, opening)
         size = float(np.max(np.abs(np.r_[l_yq_dq, opening[active]])))
         moved = self.gradients[:, :n] @ dy
         opening += moved
@@ -531,29 +488,12 @@ class ActiveSet:
             # Relative rates below this are rounding: the side never begins or ceases to decide.
             reach = np.where(rate < -1e-13 * size, stock / -rate, np.inf)
         first = int(np.argmin(reach))  # A design has bounds, so it has sides.
-        if not np.isfinite(reach[first]):
-            return Move(dy, math.inf, "")
-        verb = "ceases" if active[first] else "begins"
-        return Move(dy, float(reach[first]), f"{self.sides[first].name} {verb} to decide")
+        then = f"{self.sides[first].name} {'ceases' if active[first] else 'begins'} to decide"
+        return dy, float(reach[first]), then if np.isfinite(reach[first]) else ""
 
-    def change(self, parameter: int | None, side: str) -> Change:
-        """Return the change by one unit of a parameter, given by number, or of the limit of the sides with a name."""
-        q = np.zeros(len(self._p))
-        if parameter is not None:
-            q[parameter] = 1.0
-        return q, np.array([own.per_unit if own.name == side else 0.0 for own in self.sides])
-
-    @property
-    def parameters_that_matter(self) -> list[bool]:
-        """For each parameter, whether it changes the objective, a requirement or one of their slopes here."""
-        columns = np.vstack([self.gradient, self.gradients, self.hessian])[:, self.n :]
-        return [bool(matters) for matters in np.any(columns != 0.0, axis=0)]
-
-    def names(self, which: Mask | NDArray[np.intp]) -> tuple[str, ...]:
+    def names(self, which: NDArray[Any]) -> tuple[str, ...]:
         """Return the names of some sides, such as the deciding or the weakly active ones, each once."""
         return tuple(dict.fromkeys(self.sides[k].name for k in np.arange(len(self.sides))[which]))
-
-    # --- optima without a derivative ---------------------------------------------------------------------
 
     def _refuse_degenerate(self) -> None:
         a = self.gradients[self.deciding, : self.n]
@@ -581,28 +521,24 @@ class ActiveSet:
         return not curvatures.size or bool(curvatures[0] > least)
 
 
-def sides_of(program: Program, point: Point, fixed: Sequence[int]) -> list[Side]:
-    """Return every side of every limit; a variable that is held becomes one equality."""
-    found = []
-    declared, own = program.declared, len(program.own_requirements)
+def _sides_of_requirements(program: Program) -> Iterator[Side]:
+    """Yield every side of every row of the requirements; equal limits are one equality."""
     for row, k in enumerate(program.owner):
-        r, scale = declared.requirements[k], program.scales[k]
-        hidden = k >= own
-        if r.at_least is not None and r.at_least == r.at_most:
-            bound = r.at_least / scale
-            found.append(Side(r.name, r.name, r.at_least, r.unit, row, 1.0, bound, 1.0 / scale, True, hidden=hidden))
-            continue
-        for end, sign, limit in (("at_least", 1.0, r.at_least), ("at_most", -1.0, r.at_most)):
+        r, scale, hidden = program.declared.requirements[k], program.scales[k], k >= len(program.own_requirements)
+        equal = r.at_least is not None and r.at_least == r.at_most
+        for end, sign, limit in (("at_least", 1.0, r.at_least), ("at_most", -1.0, None if equal else r.at_most)):
             if limit is not None:
-                name, bound = f"{r.name} {end}", sign * limit / scale
-                found.append(Side(name, r.name, limit, r.unit, row, sign, bound, sign / scale, hidden=hidden))
-    for k, v in enumerate(declared.variables):
-        row, y = len(program.owner) + k, float(point.y[k])
-        per_unit, log = 1.0 / v.slope(y), math.log(v.upper / v.lower) if v.log else 0.0
+                name, bound = r.name if equal else f"{r.name} {end}", sign * limit / scale
+                yield Side(name, r.name, limit, r.unit, row, sign, bound, sign / scale, equal, hidden=hidden)
+
+
+def _sides_of_variables(program: Program, point: Point, fixed: Sequence[int]) -> Iterator[Side]:
+    """Yield both bounds of every variable; a variable that is held becomes one equality."""
+    for k, (v, y) in enumerate(zip(program.declared.variables, point.y.tolist(), strict=True)):
+        row, per_unit, log = len(program.owner) + k, 1.0 / v.slope(y), math.log(v.upper / v.lower) if v.log else 0.0
         if k in fixed:
-            found.append(Side(v.name, v.name, v.value(y), v.unit, row, 1.0, y, per_unit, True, hidden=True))
+            yield Side(v.name, v.name, v.value(y), v.unit, row, 1.0, y, per_unit, equality=True, hidden=True)
             continue
         for end, sign, limit, bound in (("lower", 1.0, v.lower, 0.0), ("upper", -1.0, v.upper, -1.0)):
             how = (row, sign, bound, sign * per_unit, False, log, v.domain)
-            found.append(Side(f"{v.name} {end}", v.name, limit, v.unit, *how))
-    return found
+            yield Side(f"{v.name} {end}", v.name, limit, v.unit, *how)

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import cycle, permutations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -62,7 +61,7 @@ class Fit(Saveable):
         warnings: warnings about the results.
         seconds: time taken [s].
         level: confidence level of the intervals in tables.
-        saved_intervals: level -> unknown -> interval, in a loaded file.
+        saved_intervals: level -> unknown -> interval, as far as they were computed.
         versions: versions of packages, and the kind of machine.
         source: what the fit was computed from; None for a loaded fit.
         origin: the question that the fit answers.
@@ -96,7 +95,7 @@ class Fit(Saveable):
     warnings: tuple[str, ...]
     seconds: float = field(compare=False)
     level: float = 0.95
-    saved_intervals: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict, compare=False)
+    saved_intervals: dict[str, Mapping[str, Interval]] = field(default_factory=dict, compare=False)
     versions: Mapping[str, str] = field(default_factory=versions)
     source: Annotated[Source | None, Unsaved()] = field(default=None, compare=False)
     origin: Origin = field(default=Origin())
@@ -143,15 +142,10 @@ class Fit(Saveable):
             True
         """
         name = str(plain_number("level", level, above=0.0, below=1.0, why="0.95 is usual"))
-        if name not in self._intervals:
+        if name not in self.saved_intervals:
             fit = self._source_to(f"compute intervals of level {level:g} of").solution
-            self._intervals[name] = {u.name: _interval(fit, u, k, level) for k, u in enumerate(self.unknowns)}
-        return self._intervals[name]
-
-    @cached_property
-    def _intervals(self) -> dict[str, Mapping[str, Interval]]:
-        """Intervals that were loaded, or computed so far."""
-        return dict(self.saved_intervals)
+            self.saved_intervals[name] = {u.name: _interval(fit, u, k, level) for k, u in enumerate(self.unknowns)}
+        return self.saved_intervals[name]
 
     def hold_out(self, part: float = 1 / 3, *, by: str | None = None, seed: int = 1, level: float = 0.95) -> Fit:
         """Fit to a part of the rows anew, and return this fit with the predictions of the others as its rows.
@@ -332,7 +326,7 @@ class Fit(Saveable):
         """
         for level in (0.95, self.level) if self.source is not None else ():
             self.intervals(level)
-        return super(Fit, replace(self, saved_intervals=self._intervals)).to_json(page or self.shown_page())
+        return super().to_json(page)
 
     def _source_to(self, verb: str) -> Source:
         """Return what the fit was computed from; raise InputError that says what a loaded fit cannot do."""

@@ -202,18 +202,16 @@ class Model:
             kind: Any = ca.SX if closed and example.law.scalar else ca.MX
             own, conditions = kind.sym("y", len(parts)), kind.sym("c", len(measured.conditions))
             values = self.values(ca.vertsplit(own)) | {key: conditions[k] for k, key in enumerate(measured.conditions)}
-            row = ca.Function(
-                "row", [own, conditions], [kind(self._result(self.scene(values), values, result, closed))]
-            )
+            scene = self.scene(values)
+            if closed:
+                value = _CLOSED[result](scene)
+            else:
+                run = simulate(scene, self.duration_of(scene, values), accuracy=self.accuracy)
+                value = MEASURES[result].of(run)
+            row = ca.Function("row", [own, conditions], [kind(value)])
         table, which = measured.distinct
         predicted: ca.MX = row.map(len(table))(ca.repmat(y, 1, len(table)), ca.DM(table.T)).T[which.tolist(), :]
         return predicted, closed
-
-    def _result(self, scene: Scene, values: Mapping[str, Expression], result: str, closed: bool) -> Expression:
-        """Return a result of a scene, in closed form or by a run."""
-        if closed:
-            return _CLOSED[result](scene)
-        return MEASURES[result].of(simulate(scene, self.duration_of(scene, values), accuracy=self.accuracy))
 
     def _force_at(
         self, measured: Measurements, scene: Scene, duration: float, rows: NDArray[np.intp], example: Scene

@@ -136,7 +136,7 @@ PAGES = {
 }
 
 # Libraries of the extra `full` in the code of pages.
-FULL = ("openmdao", "fmpy", "distributed")
+FULL = ("openmdao", "fmpy")
 
 
 def cases():
@@ -521,7 +521,12 @@ def test_integrator(workshop, capsys):
     draft, error = map(float, script.splitlines()[0].split())
     assert 0.0 < error < 1e-6
     assert draft > 0.0
-    assert "stiffness" in script
+    design = po.Design()
+    height = design.variable("height", guess=0.25, lower=0.2, upper=0.3)
+    shaken = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0)
+    scene = po.Scene(po.named_soil("serozem"), po.Wedge(po.deg(30), po.deg(35), height), 2e5, 40.0, 2.0, shaken)
+    design.minimise(po.simulate(scene, 0.5, accuracy=po.Accuracy("three_eighths", steps=2000)).mean_draft / 1e3)
+    assert design.solve(search="near").variables["height"] == pytest.approx(0.2, rel=1e-6)
     refused("simulate tine.toml --set accuracy.method=three_eights", "did you mean 'three_eighths'")
 
 

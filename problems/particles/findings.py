@@ -394,5 +394,5 @@ def plot(folder: Path) -> None:
 
 
 # On the page, and printed only.
-TABLES = (reference_table, zone_table, mount_table)
-FURTHER = (ratio_table, face_table, size_table, index_table)
+TABLES = (reference_table,)
+FURTHER = (ratio_table, face_table, zone_table, size_table, index_table, mount_table)

@@ -145,8 +145,13 @@ def spherical_cavity(soil: Soil) -> CavityPressure:
 
     Behind the front the soil locks at rho1 and satisfies sigma_r - sigma_t = lambda p + tau0, with the Mohr-Coulomb
     values lambda = 6 sin(theta)/(3 - sin(theta)) and tau0 = 6 k cos(theta)/(3 - sin(theta)) + lambda p_a. Ahead of the
-    front it is incompressible: elastic if Young's modulus is given, else rigid. Source: the form of Forrestal and Luk
-    1992, derived anew; terms of the order of eta tau0/E differ from theirs.
+    front it is incompressible: elastic if Young's modulus is given, else rigid. With alpha = 3 lambda/(3 + 2 lambda),
+    e = tau0/2E (0 if rigid), eta = 1 - b1, g^3 = (1 + e)^3 - 1 + eta, x = (1 + e)/g and I(c) = (x^c - 1)/c,
+
+        static  = 6 tau0/(3 + 2 lambda) I(2 alpha) + [elastic] 2 tau0/3 x^(2 alpha)
+        inertia = x^(2 alpha) [g/(1 + e)^2 + 3 e/g^2] + 2/b1 [I(2 alpha - 1) - I(2 alpha - 4)].
+
+    Source: the form of Forrestal and Luk 1992, derived anew; terms of the order of eta tau0/E differ from theirs.
 
     Raises:
         DomainError: tau0/2E exceeds 0.05, so that strains are not small.

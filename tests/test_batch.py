@@ -1,7 +1,7 @@
 """Batches against single simulations and exact passages of jumps: results, honest errors, failures with reasons."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -9,7 +9,7 @@ import pytest
 from helpers.scenes import AVERAGES, R1_RUNS, SEROZEM, Own, Shank, scene_of
 
 import plough_opt as po
-from plough_opt.core.expressions import Expression, exp, maximum, minimum, sin, where
+from plough_opt.core.expressions import exp, maximum, minimum, sin, where
 
 DESIGNS = np.array([[po.deg(25.0), 0.25, 5e4], [po.deg(45.0), 0.15, 8e3], [po.deg(10.0), 0.4, 3e5]])
 
@@ -270,39 +270,6 @@ def test_long_runs_keep_the_wanted_error(batch_of, r1_scene, r1_wave, damping):
         size = max(run.mean_draft, run.force_rms)
         error = max(abs(long.mean_draft[k] - run.mean_draft), abs(long.force_rms[k] - run.force_rms)) / size
         assert error <= long.error_estimate[k] + run.error_estimate
-
-
-@dataclass(frozen=True)
-class Jumping:
-    """Resistances that jump with speed and travel, and a spring that begins at a place."""
-
-    pull: Expression
-    speed: Expression
-    below: Expression
-    bump: Expression
-    place: Expression
-    spring: Expression
-    begins: Expression
-
-    def force(self, travel, speed):
-        at_speed = self.pull * where(speed > self.speed, 1.0, self.below)
-        return (
-            at_speed
-            + self.bump * where(travel > self.place, 1.0, 0.0)
-            + self.spring * maximum(travel - self.begins, 0.0)
-        )
-
-
-def jumps(count, seed):
-    """Return designs of `Jumping` and a tow speed, many with switches at zero at the start, or with two at once."""
-    random, rows = np.random.default_rng(seed), []
-    for _ in range(count):
-        pace = random.choice([0.5, 1.0, 2.0])
-        speed = random.choice([pace, 0.0, pace * random.uniform(0.5, 1.2)])
-        place = random.choice([0.0, 0.1, random.uniform(-0.05, 0.5)])
-        pull, below, bump = random.uniform(-300.0, 300.0), random.uniform(0.0, 1.0), random.choice([0.0, 300.0, -200.0])
-        rows.append([pull, speed, below, bump, place, random.choice([0.0, 5000.0]), random.choice([0.0, 0.1]), pace])
-    return rows
 
 
 APART = [

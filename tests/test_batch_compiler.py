@@ -37,9 +37,8 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache" / "plough_opt" / "code"
 
 
-def test_a_batch_without_a_compiler_warns(r1_scene, monkeypatch, tmp_path):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setenv("CC", "no_such_compiler")
+@pytest.mark.usefixtures("no_compiler")
+def test_a_batch_without_a_compiler_warns(r1_scene):
     assert find_compiler() is None
     k0 = ca.SX.sym("k0")
     plain = po.Batch(r1_scene(stiffness=k0), 0.1, [k0], error=1e-3)

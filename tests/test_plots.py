@@ -1,7 +1,6 @@
 """Pictures: what they show, in which units, and files that are whole or not there at all."""
 
 import dataclasses
-import io
 
 import matplotlib.pyplot
 import numpy as np
@@ -13,7 +12,6 @@ import plough_opt as po
 from plough_opt.app import plots
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
-from plough_opt.design import Limit
 
 
 @pytest.fixture(scope="module")
@@ -101,28 +99,6 @@ def test_an_optimum_is_drawn_with_its_response_and_every_optimum_of_the_search(o
     assert search.get_xscale() == "log"
     np.testing.assert_allclose(line(search, "best"), [[best.variables["mount"] / 1e3, best.objective]])
     np.testing.assert_allclose(line(search, "other local optima"), [[1e2, 3.0]])
-
-
-def test_an_optimum_is_drawn_with_requirements_and_the_limits_of_what_is_drawn(optimum):
-    best, run = optimum
-    peak = run.peak_deflection
-    high = Limit("deflection", "requirement", peak, "", 0.25 * peak, 0.0, False, "m", high=1.25 * peak)
-    # An active limit is met to the optimiser's rounding, which must not be shown.
-    zero = Limit("loosening", "requirement", 6e-13, "", 6e-13, 1.0, True, "m", low=0.0)
-    mean = dataclasses.replace(high, name="mean_deflection", low=0.75 * peak)
-    figure = plots.plot_optimum(dataclasses.replace(best, limits=(*best.limits, high, zero, mean)), run)
-    figure.savefig(io.BytesIO(), format="png")  # which warns of legends that do not fit
-    deflection = figure.axes[3]
-    (required,) = (axes for axes in figure.axes if axes.get_title() == "Requirements")
-    assert f"limit of the deflection {1250 * peak:.4g} mm" in legend(deflection)
-    assert line(deflection, legend(deflection)[-1])[0, 1] == pytest.approx(1250 * peak)
-    # Dollar signs are drawn as such: no label contains a formula.
-    assert not [axes for axes in figure.axes if "$" in axes.get_xlabel() + axes.get_ylabel()]
-    assert required.patches[0].get_width() == pytest.approx(20.0)  # per cent of the limit
-    assert words(required).splitlines()[1] == "loosening 0 mm ≥ 0 mm: decides"
-    # An active requirement has a mark in the place of a bar.
-    marks = [one.get_xydata().tolist() for one in required.get_lines() if one.get_marker() == "D"]
-    assert marks == [[[0.0, 1.0]]]
 
 
 def test_a_sweep_of_one_quantity_is_drawn_in_one_colour(inline):

@@ -208,21 +208,6 @@ class TestInterruptions:
         with ThreadPoolExecutor(1) as other:  # in which Python can set no handler
             assert other.submit(call, "soils").result().status == 0
 
-    def test_one_during_the_imports_is_no_traceback(self, tmp_path):
-        code = """
-import sys
-class Interrupt:
-    def find_spec(self, name, path=None, target=None):
-        if name == "casadi":
-            raise KeyboardInterrupt
-sys.meta_path.insert(0, Interrupt())
-from plough_opt.__main__ import main
-sys.exit(main())
-"""
-        line = [sys.executable, "-c", code, "init", str(tmp_path / "a.toml")]
-        done = subprocess.run(line, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stdout, done.stderr) == (130, "", "stopped: no file was written\n")
-
 
 # --- what a command says beside its results, and that it is under way ---
 

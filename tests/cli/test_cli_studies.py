@@ -271,15 +271,8 @@ def test_workbooks_hold_numbers_as_numbers_and_no_formulas(static, tmp_path, mon
         # The oldest pandas reads numbers right to one unit in the last place.
         assert found["deflection [m]"].tolist() == pytest.approx(run.deflection.tolist(), rel=3e-16)
     frame = pandas.DataFrame({"x": [1.5, np.nan], "on": [True, False], "n": [1, 2], "text": ["=1+1", "a"]})
-    frame.attrs["units"] = {"x": "m"}
     found = pandas.read_excel(write_frame(path, frame))
-    assert found.columns.tolist() == ["x [m]", "on", "n", "text"]
     assert found.fillna(-1.0).to_numpy().tolist() == [[1.5, True, 1, "'=1+1"], [-1.0, False, 2, "a"]]
-    every = lines(static, tmp_path)
-    monkeypatch.chdir(tmp_path)  # a sweep writes its own file beside the workbook
-    for name in ("tradeoff", "sweep", "check"):
-        printed(*every[name], "--csv", path)
-        assert len(pandas.read_excel(path)) > 1, name
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     assert "pip install 'openpyxl'" in call("simulate", static, "--csv", path).said
 

@@ -82,8 +82,9 @@ def check(options: argparse.Namespace) -> None:
     """Check a file, and print the contents of its scene at the guess, and what else the options ask for."""
     problem = read(options)
     values = {key: float(value) for key, value in problem.values().items()}
-    notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem), *problem.reliance)
-    laws = tables.drafts_by_law(problem.scene())
+    scene = problem.scene()
+    notes = [*dict.fromkeys((*problem.notes, *problem.cautions, *scene.warnings(), *problem.reliance))]
+    laws = tables.drafts_by_law(scene)
     plain: dict[str, Any] = {"title": problem.title, "quantities": values, "laws": laws, "notes": notes}
     page = tables.check_page(problem, laws)
     columns = {"quantity": [*values], "value": [*values.values()], "unit": [EVERY[key].unit for key in values]}
@@ -91,11 +92,11 @@ def check(options: argparse.Namespace) -> None:
     if options.effects:
         with progress() as notify:
             notify("measuring the effects", 0.0)
-            costs = effect_costs(problem.scene(), values.get("scene.duration"))
+            costs = effect_costs(scene, values.get("scene.duration"))
         page = replace(page, parts=(*page.parts, *tables.effects_parts(costs)))
         plain["effects"] = rows = [asdict(cost) for cost in costs]
         frame = partial(data_frame, {key: [row[key] for row in rows] for key in rows[0]}, {})
-    give(options, page, lambda: json_text(plain), lambda: drawn("plot_share", problem.scene()), frame)
+    give(options, page, lambda: json_text(plain), lambda: drawn("plot_share", scene), frame)
 
 
 def simulate(options: argparse.Namespace) -> None:

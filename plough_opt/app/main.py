@@ -75,36 +75,20 @@ def _add(verb: Any, options: Mapping[str, Any]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
+    options = argparse.Namespace()
     try:
         load_additions()
-    except InputError as error:
-        _complain("bad input", error)
-        return BAD_INPUT
-    options = parser().parse_args(arguments)
-    from plough_opt.app.terminal import interruptible, messages, what_was_written
-
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # Escape characters of a title that the terminal cannot encode, instead of failing.
-            stream.reconfigure(errors="backslashreplace")
-    try:
-        with interruptible(), without_notices(), messages(options):
-            commands = import_module("plough_opt.app.commands")
-            if not gc.isenabled():  # by the entry point
-                gc.freeze()  # No pass looks at the modules again: a tenth of the time of an optimisation.
-                gc.enable()
-            getattr(commands, options.function)(options)
-        if sys.stdout is not None:  # None if the parent process closed it
-            sys.stdout.flush()
-    except (InputError, DomainError) as error:
-        _complain("bad input", error)
-        return BAD_INPUT
+        options = parser().parse_args(arguments)
+        _run(options)
     except PloughError as error:
-        _complain("no solution", error)
+        wrong = isinstance(error, InputError | DomainError)
+        _complain("bad input" if wrong else "no solution", error)
         if isinstance(error, InfeasibleDesign):
             _give_conflicts(options, error)
-        return UNSOLVED
+        return BAD_INPUT if wrong else UNSOLVED
     except KeyboardInterrupt as stop:
+        from plough_opt.app.terminal import what_was_written
+
         # A sweep puts what it has stored into the exception.
         _complain("stopped", stop.args[0] if stop.args else what_was_written())
         return INTERRUPTED
@@ -115,6 +99,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _drop_output()
         return BAD_INPUT
     return SOLVED
+
+
+def _run(options: argparse.Namespace) -> None:
+    """Run the command that the options name."""
+    from plough_opt.app.terminal import interruptible, messages
+
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # Escape characters of a title that the terminal cannot encode, instead of failing.
+            stream.reconfigure(errors="backslashreplace")
+    with interruptible(), without_notices(), messages(options):
+        commands = import_module("plough_opt.app.commands")
+        if not gc.isenabled():  # by the entry point
+            gc.freeze()  # No pass looks at the modules again: a tenth of the time of an optimisation.
+            gc.enable()
+        getattr(commands, options.function)(options)
+    if sys.stdout is not None:  # None if the parent process closed it
+        sys.stdout.flush()
 
 
 def _give_conflicts(options: argparse.Namespace, error: InfeasibleDesign) -> None:

@@ -83,20 +83,20 @@ class Switch:
 
 def switches(problem: Problem) -> list[Switch]:
     """Return the effects that need no value, and those of the file whose value is no variable."""
-    effects, found = problem.scene().effects, []
+    effects, listed = problem.scene().effects, list[Switch]()
     for name in ("inertial_drag", "added_mass", "ambient_pressure"):
         on = getattr(effects, name)
-        found.append(Switch(name.replace("_", " "), on, {name: not on}, ((f"effects.{name}", not on),)))
+        listed.append(Switch(name.replace("_", " "), on, {name: not on}, ((f"effects.{name}", not on),)))
     if effects.start == "rest":
-        start = {"start": "equilibrium"}
-        found.append(Switch("start at rest", True, start, (("effects.start", "equilibrium"),)))
-    waves = tuple((f"{wave_table(k)}.amplitude", 0.0) for k in range(1, len(effects.waves) + 1))
-    values = [(name, ((f"effects.{name}", f"0 {EVERY[f'effects.{name}'].unit}"),))
-              for name in ("tow_ramp", "damping", "speed_term", "rate_term")]  # fmt: skip
-    for name, settings in [("strength_wave", waves), *values]:
-        if getattr(effects, name) is not None and not {key for key, _ in settings} & {*problem.variables}:
-            found.append(Switch(name.replace("_", " "), True, {name: None}, settings))
-    return found
+        settings: Any = (("effects.start", "equilibrium"),)
+        listed.append(Switch("start at rest", True, {"start": "equilibrium"}, settings))
+    waves = [f"{wave_table(k)}.amplitude" for k in range(1, len(effects.waves) + 1)]
+    values = {name: [f"effects.{name}"] for name in ("tow_ramp", "damping", "speed_term", "rate_term")}
+    for name, keys in {"strength_wave": waves, **values}.items():
+        if getattr(effects, name) is not None and not {*keys} & {*problem.variables}:
+            settings = tuple((key, f"0 {EVERY[key].unit}" if EVERY[key].unit else 0.0) for key in keys)
+            listed.append(Switch(name.replace("_", " "), True, {name: None}, settings))
+    return listed
 
 
 def page_model(problem: Problem) -> PageModel:

@@ -91,13 +91,8 @@ def check_page(problem: Problem, drafts: Mapping[str, Mapping[str, Any]]) -> Pag
         parts.append(
             f"Uncertain: {names}. plough-opt optimise allows for this; all other commands use the nominal soil."
         )
-    notes = (*warnings_of(problem), *problem.reliance)
+    notes = (*scene.warnings(), *problem.reliance)
     return Page("", tuple(parts), notes, title=f"{problem.title}: {problem.name} is valid.")
-
-
-def warnings_of(problem: Problem) -> tuple[str, ...]:
-    """Return the warnings of a file's scene, each once."""
-    return tuple(dict.fromkeys(problem.scene().warnings()))
 
 
 def _simulated(problem: Problem, scene: Scene) -> Grid:
@@ -107,12 +102,11 @@ def _simulated(problem: Problem, scene: Scene) -> Grid:
         equation = equation_of(Structure.of(scene))
         rows.append(("equation of motion", f"2 states, {equation.rate.n_nodes()} nodes"))
         rows.append(("its parameters", ", ".join(equation.names)))
-        frequency = float(scene.natural_frequency) / (2.0 * math.pi)
+        natural = float(scene.natural_frequency)
         if scene.effects.printed.repelling_spring:
-            growth = f"exp({float(scene.natural_frequency):.4g}/s t)"
-            rows.append(("growth under the print's repelling spring", growth))
+            rows.append(("growth under the print's repelling spring", f"exp({natural:.4g}/s t)"))
         else:
-            rows.append(("natural frequency", f"{frequency:.4g} Hz"))
+            rows.append(("natural frequency", f"{natural / (2.0 * math.pi):.4g} Hz"))
     else:
         rows.append(("quasi-static", "no equation of motion"))
     if (course := scene.effects.tow_profile) is not None:
@@ -122,12 +116,6 @@ def _simulated(problem: Problem, scene: Scene) -> Grid:
         rows.append(("frequency of the strength wave", f"{float(scene.tow_speed / wave.wavelength):.4g} Hz"))
     if scene.effects.random_strength is not None:
         rows.append(("random strength", f"{100.0 * float(scene.effects.random_strength.variance) ** 0.5:.3g} % RMS"))
-        for quantity, name, unit in (
-            ("mount force", "stationary_force_rms", "N"),
-            ("deflection", "stationary_displacement_rms", "m"),
-        ):
-            value = float(getattr(scene, name))
-            rows.append((f"stationary RMS of the {quantity}", shown(problem, name, value, unit)))
     return Grid.pairs("What is simulated", *rows)
 
 

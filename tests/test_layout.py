@@ -72,7 +72,7 @@ HEAVY = {
 print(po.simulate(po.Scene(po.named_soil("serozem"), share, stiffness=5e4, mass=30.0, tow_speed=2.0), duration=0.5))""":
         {"matplotlib", "pint", "pydantic", "rich", "scipy"},
     """from pathlib import Path
-for name in ("cotton_subsoiler", "field", "uncertain_field"):
+for name in ("cotton_subsoiler", "field"):
     po.read_problem(Path("problems", f"{name}.toml")).scene()""": {"pint"},
 }  # fmt: skip
 

@@ -97,6 +97,7 @@ assert not [name for name in sys.modules if name.startswith("plough_opt.")]
 """
 
 
+@pytest.mark.thorough
 def test_written_modules_need_no_plough_opt_whatever_their_names(around_r1, small, tmp_path):
     """The names of the others are those that the module itself uses."""
     components = [around_r1, *map(small, ["om", "units_of"])]

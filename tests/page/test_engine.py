@@ -113,16 +113,13 @@ def assert_equal(rows, runs, results):
     assert compared > DESIGNS // 2
 
 
-# These run with the thorough tests: what most of them have alone, the other scenes have beside something else.
-LATER = {
-    "from rest", "towed", "ramp", "ramp from equilibrium", "whole waves", "stick and slip", "quasi-static ramp",
-    "a compression test", "a result of the file", "entry", "undamped", "no drag, no added mass",
-}  # fmt: skip
+# The other scenes run with the thorough tests; what most of them have alone, these have beside something else.
+NOW = {"rate term and two waves", "a periodic orbit", "entry, stick and slip, ramp", "a speed over time"}
 
 
 @needs_node
 @pytest.mark.parametrize(
-    "scene", [pytest.param(name, marks=[pytest.mark.thorough] * (name in LATER)) for name in SCENES]
+    "scene", [pytest.param(name, marks=[pytest.mark.thorough] * (name not in NOW)) for name in SCENES]
 )
 def test_results_in_node_and_chromium_are_those_of_simulate(scene, browser, tmp_path):
     problem = read(scene, tmp_path)

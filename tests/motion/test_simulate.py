@@ -154,10 +154,31 @@ def test_numbers_and_symbols_run_alike(r1_scene, kind, motion, ramp):
 
     x = kind.sym("x", len(NUMBERS))
     found = ca.Function("run", [x], results_of(run(*ca.vertsplit(x)))).call([ca.DM(NUMBERS)])
-    # The same operations in another order, and the quasi-static averages by panels of 0.1 rad. With SX no step ends at
-    # the symbolic end of a ramp, where the method then has order 3, with steps of a millisecond.
-    ends_within = motion and kind is ca.SX and ramp == "symbol"
-    assert_alike(map(np.asarray, found), run(*NUMBERS), 1e-8 if ends_within else 1e-11)
+    # The same operations in another order, and the quasi-static averages by panels of 0.1 rad.
+    assert_alike(map(np.asarray, found), run(*NUMBERS), 1e-11)
+
+
+# In a step, at the end of one, and after the run.
+@pytest.mark.parametrize("ramp", [0.137, 0.15, 0.9])
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_a_ramp_that_moves_has_exact_derivatives(r1_scene, kind, ramp):
+    def results(ramp, stiffness, accuracy=None):
+        run = po.simulate(r1_scene(25.0, 0.25, stiffness, strength_wave=WAVE, damping=200.0, start="rest",
+                                   tow_ramp=ramp), 0.6, outputs=4, accuracy=accuracy)  # fmt: skip
+        return [run.mean_draft, run.force_rms, run.mean_deflection, run.tow_power]
+
+    p, h = np.array([ramp, 5e4]), 1e-3 * ramp
+    x = kind.sym("x", 2)
+    column = ca.vertcat(*results(x[0], x[1]))
+    slopes = ca.Function("slopes", [x], [ca.densify(ca.jacobian(column, x))])
+    bends = ca.Function("bends", [x], [ca.hessian(ca.sum1(column), x)[0]])(p).full()[0]
+    values, first = (np.array([results(ramp + k * h, 5e4, po.Accuracy(error=1e-12)) for k in (-2, -1, 0, 1, 2)]),
+                     slopes(p).full()[:, 0])  # fmt: skip
+    by_differences = (values[0] - 8.0 * values[1] + 8.0 * values[3] - values[4]) / (12.0 * h)
+    assert np.max(np.abs(first - by_differences) * ramp / values[2]) < 1e-8
+    second = [np.sum(slopes([ramp + k * h, 5e4]).full(), axis=0) for k in (-2, -1, 1, 2)]
+    by_differences = (second[0] - 8.0 * second[1] + 8.0 * second[2] - second[3]) / (12.0 * h)
+    assert np.max(np.abs(bends - by_differences) * ramp * p) / np.sum(values[2]) < 1e-8
 
 
 @pytest.mark.parametrize("kind", [ca.DM, ca.SX, ca.MX])

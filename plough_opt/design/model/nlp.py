@@ -379,7 +379,7 @@ def _integration_of(run: EmbeddedRun, only_averages: bool, steps: int | None) ->
     if only_averages and accuracy.order_8:
         timeline = replace(timeline, outputs=1, aligned=True)
     if steps is not None:
-        timeline = replace(timeline, steps=steps, aligned=False)
+        timeline = replace(timeline, steps=steps, aligned=timeline.moving)
     solver = integration(own.structure, accuracy, timeline)
     return solver, solver.results - solver.equation.averages if only_averages else 0
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -28,6 +28,7 @@ from plough_opt.motion.solvers.steps import (
     pairs,
     pooled,
     product,
+    ramp_of,
     run_from,
     spans_of,
     step_symbols,
@@ -103,7 +104,8 @@ def jets(
         the second derivatives of `pairs`.
     """
     p = ca.MX.sym("p", len(equation.names) + 1)
-    whole = _jets_from(equation, timeline, varying, order, compiled)(_at_start(equation, varying, order)(p), p)
+    first, ramp_part = _at_start(equation, varying, order)(p)
+    whole = _jets_from(equation, timeline, varying, order, compiled)(first, ramp_part, p)
     return ca.Function("jets", [p], [whole])
 
 
@@ -111,19 +113,21 @@ def jets(
 def _jets_from(
     equation: Equation, timeline: Timeline, varying: tuple[int, ...], order: int, compiled: bool
 ) -> ca.Function:
-    """Return (jet of the state at time 0, parameters) -> result of `jets`."""
-    (p, _), count, spans = equation.symbols(ca.MX), len(varying), spans_of(timeline)
+    """Return (jets of the state at time 0 and of the ramp's part of the duration, parameters) -> result of `jets`."""
+    (p, _), count = equation.symbols(ca.MX), len(varying)
+    ramp = ramp_of(timeline, equation, p)
+    spans = spans_of(timeline, p[-1], ramp)
     steps, width = spans.shape[1], _width(count, order)
-    first = ca.MX.sym("first", 2, width)
-    one = (_compiled_jet_step if compiled else _jet_step)(equation, varying, order)
+    first, ramp_part = ca.MX.sym("first", 2, width), ca.MX.sym("ramp_part", 1, width)
+    one = (_compiled_jet_step if compiled else _jet_step)(equation, varying, order, spans.shape[0])
     states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
-    averages = pooled(moments, spans[1, :], equation.count, count)
+    averages = pooled(moments, spans, equation.count, count, ramp_part if timeline.moving else None)
     # Rows of w and below them of w', each with a row for each column of the jet.
     places = [*range(0, 2 * width, 2), *range(1, 2 * width, 2)]
     paths = ca.horzcat(ca.vec(first), ca.reshape(states, 2 * width, steps))[places, :]
     is_duration = [position == p.numel() - 1 for position in varying]
-    read = _read(timeline, paths, p[-1], is_duration)
-    return ca.Function("jets_from", [first, p], [ca.vertcat(read, *averages)])
+    read = _read(timeline, paths, (p[-1], ramp), is_duration)
+    return ca.Function("jets_from", [first, ramp_part, p], [ca.vertcat(read, *averages)])
 
 
 @lru_cache(maxsize=64)
@@ -142,24 +146,24 @@ def _orbit_jets(equation: Equation, timeline: Timeline, varying: tuple[int, ...]
     jet, width = start, 1
     for each in range(1, order + 1):
         unfinished = ca.horzcat(jet, ca.MX.zeros(2, _width(count, each) - width))
-        whole = _jets_from(equation, timeline, varying, each, False)(unfinished, p)
+        whole = _jets_from(equation, timeline, varying, each, False)(unfinished, 0.0, p)
         added = ca.solve(ca.MX.eye(2) - slopes[end, :], whole[end, width:])
         jet, width, before = ca.horzcat(jet, added), unfinished.shape[1], width
     result = ca.horzcat(whole[:, :before], whole[:, before:] + slopes @ added)
     return ca.Function("orbit_jets", [p], [result])
 
 
-def _read(timeline: Timeline, paths: ca.MX, duration: ca.MX, is_duration: list[bool]) -> ca.MX:
+def _read(timeline: Timeline, paths: ca.MX, times: tuple[ca.MX, Any], is_duration: list[bool]) -> ca.MX:
     """Return the jets of the states at the outputs, output by output, from those at the ends of the steps.
 
     Args:
         timeline: steps and outputs.
         paths: jets of w and below them of w', a column for each end.
-        duration: of the run [s].
+        times: duration of the run [s], and time of a ramp [s] whose end divides a step.
         is_duration: whether each varying parameter is the duration, on which the interpolation depends.
     """
-    width = paths.shape[0] // 2
-    found = at_outputs(timeline, paths, duration)
+    duration, width = times[0], paths.shape[0] // 2
+    found = at_outputs(timeline, paths, *times)
     found = ca.reshape(found, width, 2 * found.shape[1]).T
     if timeline.aligned or not any(is_duration):
         return found
@@ -181,16 +185,18 @@ def _read(timeline: Timeline, paths: ca.MX, duration: ca.MX, is_duration: list[b
 
 
 def _at_start(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Function:
-    """Return parameters -> jet of the state at time 0."""
+    """Return parameters -> jets of the state at time 0 and of the ramp's part of the duration, 0 without a ramp."""
     p, e = ca.SX.sym("p", len(equation.names) + 1), ca.SX.sym("e", len(varying))
     shifted = ca.SX(p)
     shifted[list(varying)] = p[list(varying)] + e
-    jet = _taylor(ca.densify(ca.SX(equation.structure.start_state(equation.named(shifted)))), e, order)
-    return ca.Function("at_start", [p], [ca.densify(ca.substitute(jet, e, ca.SX.zeros(e.numel())))])
+    known = equation.named(shifted)
+    values = equation.structure.start_state(known), known.get("ramp_time", 0.0) / shifted[-1]
+    jets = [_taylor(ca.densify(ca.SX(value)), e, order) for value in values]  # type: ignore[arg-type]
+    return ca.Function("at_start", [p], [ca.densify(ca.substitute(jet, e, ca.SX.zeros(e.numel()))) for jet in jets])
 
 
 @lru_cache(maxsize=64)
-def _jet_step(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Function:
+def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, rows: int) -> ca.Function:
     """Return one step: (jet of the state, span, parameters) -> (jet of the state after it, jet of the moments).
 
     The derivatives solve the equation of motion expanded at every stage. Differentiating the whole step by CasADi gives
@@ -201,10 +207,11 @@ def _jet_step(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Fu
         equation: the equation of motion.
         varying: positions of the parameters to differentiate by.
         order: of the derivatives.
+        rows: of the span.
     """
-    count, (span, p, start, size) = len(varying), step_symbols(equation)
+    count, (span, p, start, size) = len(varying), step_symbols(equation, rows)
     jet = ca.SX.sym("jet", 2, _width(count, order))
-    # Derivatives of the step's start and size: zero unless the duration varies.
+    # Derivatives of the step's start and size: zero unless duration or ramp vary.
     lateness, lengthening = (ca.jacobian(time, p[list(varying)]) for time in (start, size))
 
     def moved(weights: Sequence[float], rates: Sequence[ca.SX]) -> ca.SX:
@@ -239,9 +246,9 @@ def _jet_step(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Fu
 
 
 @lru_cache(maxsize=64)
-def _compiled_jet_step(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Function:
+def _compiled_jet_step(equation: Equation, varying: tuple[int, ...], order: int, rows: int) -> ca.Function:
     """Return `_jet_step` in machine code, some ten times as fast; without a compiler as it is."""
-    step = _jet_step(equation, varying, order)
+    step = _jet_step(equation, varying, order, rows)
     (compiled,) = in_machine_code([step], _VARIANTS) or (step,)
     return compiled
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_domain
@@ -171,9 +170,9 @@ _timeline = lru_cache(maxsize=256)(Timeline)
 
 
 def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int, method: str | None = None) -> Timeline:
-    """Return the times of a run, which include the end of a tow ramp if that is a number.
+    """Return the times of a run, which include the end of a tow ramp.
 
-    Steps of order 8 need not end at the outputs, which are interpolated.
+    Steps of order 8 need not end at the outputs, which are interpolated, unless a ramp or the duration is a symbol.
 
     Args:
         scene: the scene.
@@ -186,15 +185,11 @@ def timeline_of(scene: Scene, duration: Expression, outputs: int, steps: int, me
     if profile is not None and is_symbolic(duration):
         raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
     times = () if profile is None else profile.times
-    if effects.ramps and not _moves(scene, duration):
+    moving = effects.ramps and (is_symbolic(ramp) or is_symbolic(duration))
+    if effects.ramps and not moving:
         times = (float(as_number(ramp)),)
     kinks = kinks_of(times, float(as_number(duration))) if times else ()
-    return _timeline(outputs, steps, kinks, method not in ORDER_8)
-
-
-def _moves(scene: Scene, duration: Expression) -> bool:
-    """Return whether the end of a tow ramp is no fixed fraction of the run, because it or the duration is a symbol."""
-    return scene.effects.ramps and (is_symbolic(scene.effects.tow_ramp) or is_symbolic(duration))
+    return _timeline(outputs, steps, kinks, moving or method not in ORDER_8, moving)
 
 
 def kinks_of(times: tuple[float, ...], duration: float) -> tuple[float, ...]:
@@ -221,7 +216,7 @@ def of_symbols(
         return accuracy, timeline_of(scene, duration, outputs, panels)
     if accuracy.method != "auto":
         accuracy = with_setting(accuracy, steps, outputs)
-    elif scene.effects.events or (_moves(scene, duration) and not any(isinstance(x, ca.SX) for x in p.values())):
+    elif scene.effects.events:
         # Events are located, but not the ends of the step of smooth contact, which need a tighter tolerance.
         wanted = min(accuracy.error or DEFAULT_ERROR, (1e-4 if smooth else 1e-2) * accuracy.wanted_derivatives)
         accuracy = first_setting("erk", wanted)

@@ -7,16 +7,16 @@ Steps of order 8 are longer than the intervals between outputs. The deflection w
 steps around an output time determine a Hermite polynomial of degree 15. Its error falls by a higher power of the step
 size than that of the method. Interpolated states are linear in those at the ends, and so are their derivatives.
 
-A step ends at the end of a tow ramp whose time is a number. Across a kink steps of order 8 lose their order, and each
-differentiation by a parameter that moves the kink loses one order more. The smooth contact has four derivatives
-everywhere, which is enough.
+A step ends at the end of a tow ramp, even if parameters move that end. Across a kink steps of order 8 lose their order,
+and each differentiation by a parameter that moves the kink loses one order more. The smooth contact has four
+derivatives everywhere, which is enough.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Final, NamedTuple
@@ -59,12 +59,14 @@ class Timeline:
             steps between two of them are equally long, no longer than they would be without a kink.
         aligned: whether a step ends at each output. Each output interval then has the nearest whole number of steps, at
             least one. Otherwise outputs are interpolated between the ends of `READ_FROM` steps.
+        moving: whether parameters move the end of a ramp. It divides one of the steps, which are then aligned.
     """
 
     outputs: int
     steps: int
     kinks: tuple[float, ...] = ()
     aligned: bool = True
+    moving: bool = False
 
     @cached_property
     def output_fractions(self) -> NDArray[np.float64]:
@@ -128,7 +130,7 @@ class Readings(NamedTuple):
     weights: Array
 
 
-def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX) -> ca.MX:
+def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: Any = None) -> ca.MX:
     """Return the states (w [m]; w' [m/s]) at the output times, a column each.
 
     Args:
@@ -136,10 +138,16 @@ def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX) -> ca.MX:
         states: states at the ends of all steps, including the start, a column each; the upper half of the rows has w
             and the lower half w', if there are more than two.
         duration: simulated time [s].
+        ramp: time of a ramp [s] whose end divides a step.
     """
     if timeline.aligned:
         # Index of each output time among the nodes, where one of them is at each.
-        return states[:, [int(i) for i in np.searchsorted(timeline.nodes, timeline.output_fractions - 1e-12)]]
+        columns = [int(i) for i in np.searchsorted(timeline.nodes, timeline.output_fractions - 1e-12)]
+        if not timeline.moving:
+            return states[:, columns]
+        # After the ramp's end an output is one column further on.
+        reached = ca.repmat(ca.DM(timeline.output_fractions).T * duration <= ramp, states.shape[0], 1)
+        return ca.if_else(reached, states[:, columns], states[:, [k + 1 for k in columns]])
     w, rate = ca.vertsplit(states, states.shape[0] // 2)
     w_by_w, w_by_rate, rate_by_w, rate_by_rate = _matrices(timeline)
     return ca.vertcat(w @ w_by_w + duration * (rate @ w_by_rate), (w @ rate_by_w) / duration + rate @ rate_by_rate)
@@ -226,30 +234,44 @@ def product(x: Sequence[Any], y: Sequence[Any], count: int) -> list[Any]:
     return found
 
 
-def pooled(moments: ca.MX, sizes: ca.DM, signals: int, count: int = 0) -> tuple[ca.MX, ca.MX]:
+def pooled(
+    moments: ca.MX, spans: ca.MX | ca.DM, signals: int, count: int = 0, ramp_part: ca.MX | None = None
+) -> tuple[ca.MX, ca.MX]:
     """Return the means, and the mean squares about the mean, over a run from the moments of its steps.
 
     Args:
         moments: jets of the moments (means of all signals, then their spreads), step by step.
-        sizes: sizes of the steps as fractions of the duration, a row.
+        spans: see `spans_of`.
         signals: number of signals.
         count: number of parameters by which the moments are differentiated.
+        ramp_part: jet of the ramp's part of the duration, if its end divides a step.
 
     Returns:
         Both with a row for each signal and the columns of the jet.
     """
     # All columns of the jet together: with many steps CasADi takes longer to build a graph than to evaluate it.
-    rows, steps = moments.shape[0], sizes.shape[1]
+    rows, steps = moments.shape[0], spans.shape[1]
     width = moments.shape[1] // steps
     flat = ca.reshape(moments, rows * width, steps)
-    means, spreads = ca.vertsplit(ca.reshape(flat @ sizes.T, rows, width), [0, signals, rows])
+
+    def average(summed: Callable[[ca.MX | ca.DM], ca.MX]) -> ca.MX:
+        """Return the jets of averages from the function that sums jets with weights of the steps."""
+        by_duration = summed(spans[1, :])
+        if ramp_part is None:
+            return by_duration
+        parts = ca.horzsplit(ramp_part), ca.horzsplit(summed(spans[3, :]))
+        return ca.MX(by_duration + ca.horzcat(*product(*parts, count)))
+
+    sums = average(lambda sizes: ca.reshape(flat @ sizes.T, rows, width))
+    means, spreads = ca.vertsplit(sums, [0, signals, rows])
     # The spreads within steps and the spread of their means are both positive, so nothing cancels in the sum.
     drifts = [flat[k::rows, :] - ca.repmat(means[k, :].T, 1, steps) for k in range(rows - signals)]
-    squares = [_summed_square(drift, sizes, count) for drift in drifts]
-    return means, spreads + ca.vertcat(*squares) if squares else spreads
+    if drifts:
+        spreads += average(lambda sizes: ca.vertcat(*(_summed_square(drift, sizes, count) for drift in drifts)))
+    return means, spreads
 
 
-def _summed_square(jet: ca.MX, weights: ca.DM, count: int) -> ca.MX:
+def _summed_square(jet: ca.MX, weights: ca.MX | ca.DM, count: int) -> ca.MX:
     """Return the jet of the weighted sum of a quantity's square, as a row; ``jet`` has a column for each summand."""
     sums = (jet[0, :] * weights) @ jet.T
     slopes, bends = 2.0 * sums[:, 1 : 1 + count], 2.0 * sums[:, 1 + count :]
@@ -260,18 +282,39 @@ def _summed_square(jet: ca.MX, weights: ca.DM, count: int) -> ca.MX:
     return ca.horzcat(sums[:, 0], slopes, bends)
 
 
-def step_symbols(equation: Equation) -> tuple[ca.SX, ca.SX, Column, Column]:
+def step_symbols(equation: Equation, rows: int = 2) -> tuple[ca.SX, ca.SX, Column, Column]:
     """Return symbols of a step: its span as in `spans_of`, the parameters with the duration last, start and size [s].
 
     Start and size follow from the other two.
     """
-    span, (p, _) = ca.SX.sym("span", 2), equation.symbols(ca.SX)
-    return span, p, span[0] * p[-1], span[1] * p[-1]
+    span, (p, known) = ca.SX.sym("span", rows), equation.symbols(ca.SX)
+    start, size = span[0] * p[-1], span[1] * p[-1]
+    if rows == 2:
+        return span, p, start, size
+    return span, p, start + span[2] * known["ramp_time"], size + span[3] * known["ramp_time"]
 
 
-def spans_of(timeline: Timeline) -> ca.DM:
-    """Return start and size of each step as fractions of the duration, a column each."""
-    return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
+def spans_of(timeline: Timeline, duration: ca.MX, ramp: Any) -> ca.MX | ca.DM:
+    """Return start and size of each step as fractions of the duration, a column each.
+
+    If the end of a ramp divides a step, two more rows are parts of both as fractions of the ramp's time, to be added.
+    If it ends at an end of a step or after the run, one step has no length. All are constant under differentiation.
+    """
+    if not timeline.moving:
+        return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
+    before, after = ca.DM(timeline.nodes[:-1]), ca.DM(timeline.nodes[1:])
+    begun, reached = before * duration <= ramp, after * duration <= ramp
+    ends, at_ramp = stacked(0.0, reached * after + (1.0 - begun) * before, 1.0), stacked(0.0, begun - reached, 0.0)
+    # Second derivatives of the ramp's formulas jump at its end. A stage there belongs to the side on which its step is.
+    side = stacked(1.0 - 2.0 * begun, 1.0)
+    starts, sizes = at_ramp[:-1] + 1e-14 * side, at_ramp[1:] - at_ramp[:-1]
+    rows: ca.MX = ca.horzcat(ends[:-1], ends[1:] - ends[:-1], starts, sizes).T
+    return rows
+
+
+def ramp_of(timeline: Timeline, equation: Equation, p: Any) -> Any:
+    """Return the time [s] of a ramp whose end divides a step, from the equation's parameters, or None."""
+    return equation.named(p)["ramp_time"] if timeline.moving else None
 
 
 def quadrature(timeline: Timeline, points: int) -> tuple[Array, Array]:
@@ -288,14 +331,14 @@ def quadrature(timeline: Timeline, points: int) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=64)
-def step(equation: Equation, tableau: Tableau = DOP853) -> ca.Function:
+def step(equation: Equation, tableau: Tableau = DOP853, rows: int = 2) -> ca.Function:
     """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
 
-    The span is that of `spans_of`. The moments are the mean of each signal over the step and then, for each signal with
-    an RMS, the mean square about that mean. Both are computed from the deviation from the value at the step's start, in
-    which cancellation costs at most a factor of four.
+    The span is that of `spans_of`, with as many rows. The moments are the mean of each signal over the step and then,
+    for each signal with an RMS, the mean square about that mean. Both are computed from the deviation from the value at
+    the step's start, in which cancellation costs at most a factor of four.
     """
-    span, p, start, size = step_symbols(equation)
+    span, p, start, size = step_symbols(equation, rows)
     given, state = p[:-1], ca.SX.sym("state", equation.states)
     rates: list[ca.SX] = []
     first = equation.signals(start, state, given)
@@ -326,9 +369,11 @@ def run_map(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -
 @lru_cache(maxsize=64)
 def run_from(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return a run from any state: (state at time 0, parameters) -> (states at the outputs, means, variances)."""
-    first, (p, _), spans = ca.MX.sym("first", 2), equation.symbols(ca.MX), spans_of(timeline)
-    count = spans.shape[1]
-    states, moments = step(equation, tableau).mapaccum(count)(first, spans, ca.repmat(p, 1, count))
-    averages = pooled(moments, spans[1, :], equation.count)
-    found = at_outputs(timeline, ca.horzcat(first, states), p[-1])
+    first, (p, _) = ca.MX.sym("first", 2), equation.symbols(ca.MX)
+    ramp = ramp_of(timeline, equation, p)
+    spans = spans_of(timeline, p[-1], ramp)
+    rows, count = spans.shape
+    states, moments = step(equation, tableau, rows).mapaccum(count)(first, spans, ca.repmat(p, 1, count))
+    averages = pooled(moments, spans, equation.count, ramp_part=None if ramp is None else ramp / p[-1])
+    found = at_outputs(timeline, ca.horzcat(first, states), p[-1], ramp)
     return ca.Function("run_from", [first, p], [found, *averages])

@@ -59,8 +59,8 @@ class Penetrometer:
         check_text("the name of a penetrometer's file", self.name)
         wrong = f"{self.name}: insertions = {{}} must be cone indices above 0 in Pa, one for each insertion"
 
-        def valid(found: Vector) -> bool:
-            return found.ndim == 1 and found.size > 0 and bool(np.all((found >= LEAST) & (found <= LARGEST)))
+        def valid(values: Vector) -> bool:
+            return values.ndim == 1 and values.size > 0 and bool(np.all((values >= LEAST) & (values <= LARGEST)))
 
         object.__setattr__(self, "insertions", array_of(self.insertions, wrong, valid))
 
@@ -196,15 +196,15 @@ def average_readings(source: Source, folder: Path) -> str:
         except InputError:
             raise InputError(f'depth = "{depth}" is not a range of depths: write it like "25..45 cm"') from None
         assert isinstance(between, Range)  # which read_axis returns for samples
-        found = read_penetrometer(folder / written, (between.lower, between.upper))
+        readings = read_penetrometer(folder / written, (between.lower, between.upper))
         source.read_files[written] = exact_text(folder / written)
-        soil["cone_index"] = f"{found.mean / 1e6!r} MPa"
+        soil["cone_index"] = f"{readings.mean / 1e6!r} MPa"
         uncertain = source.written("uncertain")
         entry = uncertain.get("soil.cone_index") if isinstance(uncertain, dict) else None
         if isinstance(entry, dict) and entry.get("distribution") == "penetrometer":
-            entry |= {"distribution": "lognormal", "mean": f"{found.mean!r} Pa", "std": f"{found.spread!r} Pa"}
-        count = len(found.insertions)
-        return f"{found.mean / 1e6:.4g} MPa, mean of {count} insertion{'s' * (count > 1)} over {depth} in {written}"
+            entry |= {"distribution": "lognormal", "mean": f"{readings.mean!r} Pa", "std": f"{readings.spread!r} Pa"}
+        count = len(readings.insertions)
+        return f"{readings.mean / 1e6:.4g} MPa, mean of {count} insertion{'s' * (count > 1)} over {depth} in {written}"
     return ""
 
 

@@ -413,8 +413,8 @@ class Problem:
         """Return outputs with some names, or all results that the file names, with its requirements as limits."""
         check_kind("outputs", names, list | tuple, "a list of names")
         table = self.table
-        every = dict.fromkeys([*table.minimise, *table.goals, *table.require])
-        if not (names := names or [*([OBJECTIVE] if table.minimise else []), *every]):
+        results = dict.fromkeys([*table.minimise, *table.goals, *table.require])
+        if not (names := names or [*([OBJECTIVE] if table.minimise else []), *results]):
             raise InputError(f"{self.name} minimises, trades and requires nothing: name outputs")
         outputs = []
         for name in names:
@@ -438,15 +438,15 @@ class Problem:
             20000.0
         """
         soil = self.scene().soil
-        own = {name: getattr(soil, one.key) for name, one in QUANTITIES.items() if one.owner == "soil"}
-        every = {**own, **self.fixed}
+        own = {name: getattr(soil, quantity.key) for name, quantity in QUANTITIES.items() if quantity.owner == "soil"}
+        values = {**own, **self.fixed}
         if _READING in self.values():
-            del every[self.table.soil.adjusted]
+            del values[self.table.soil.adjusted]
         if self.table.soil.compaction is not None:
-            del every["soil.density_ratio"]
+            del values["soil.density_ratio"]
         if self.course is not None:  # whose pieces are laid out over the duration
-            del every["scene.duration"]
-        return {key: float(x) for key, x in every.items() if x is not None and key not in self.variables}
+            del values["scene.duration"]
+        return {key: float(x) for key, x in values.items() if x is not None and key not in self.variables}
 
     def optimise(
         self, progress: Progress | None = None, *, parameters: bool = False, search: Search = "auto", seed: int = 0
@@ -465,10 +465,10 @@ class Problem:
         design, run = self.design(parameters=parameters)
         best = design.solve(search=search, seed=seed, progress=progress)
         origin = self.made(seed)
-        found = replace(best(run), origin=origin)
-        best = replace(best, run=found, origin=origin)
+        run = replace(best(run), origin=origin)
+        best = replace(best, run=run, origin=origin)
         catalogues = {name: v.catalogue for name, v in self.variables.items() if v.catalogue is not None}
-        return (best.with_catalogues(catalogues) if catalogues else best), found
+        return (best.with_catalogues(catalogues) if catalogues else best), run
 
     def trade_off(self, points: int | None = None, progress: Progress | None = None) -> TradeOff:
         """Return the Pareto front of the results in [trade_off]; [minimise] is ignored.

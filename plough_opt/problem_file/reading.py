@@ -199,23 +199,23 @@ def variable_of(source: Source, key: str, declared: VariableTable) -> FileVariab
     return FileVariable(lower, upper, guess, declared.log, *own)
 
 
-def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None:
+def check_complete(source: Source, table: ProblemTable, present: set[str]) -> None:
     """Note every missing quantity, and every quantity that nothing in the file uses.
 
     Args:
         source: the file.
         table: its tables.
-        known: keys of the quantities that are given or are variables.
+        present: keys of the quantities that are given or are variables.
     """
-    if not known <= {*quantities()}:
+    if not present <= {*quantities()}:
         return  # a misspelt variable is noted already; here it would be reported as missing too
     waves = [name for name in WAVES
-             if at(table, name) is not None or {f"{name}.amplitude", f"{name}.wavelength"} <= known]  # fmt: skip
-    unused = _unused(table, known, waves)
-    for key in sorted({*unused} & known):
+             if at(table, name) is not None or {f"{name}.amplitude", f"{name}.wavelength"} <= present]  # fmt: skip
+    unused = _unused(table, present, waves)
+    for key in sorted({*unused} & present):
         source.note(("variables", key) if key in table.variables else key.split("."), f"'{key}' {unused[key]}")
     soil, effects = table.soil, table.effects
-    if known & {*READINGS} and soil.compaction is not None and soil.adjusted == "soil.density_ratio":
+    if present & {*READINGS} and soil.compaction is not None and soil.adjusted == "soil.density_ratio":
         both = "both the cone index and the compaction decide the density ratio"
         source.note(("soil", "adjust"), f"{both}: adjust another property, or remove the compaction")
     if table.scene.average != "run" and (effects.orbit != "transient" or not waves):
@@ -226,7 +226,7 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
     missing = [
         quantity
         for key, quantity in sorted(IN_FILES.items())
-        if key not in {*known, *unused}
+        if key not in {*present, *unused}
         and (
             (quantity.required and not (quantity.owner == "soil" and soil.name is not None))
             or (quantity.owner in waves and quantity.key != "phase")
@@ -241,12 +241,12 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
         source.note(owner.split("."), f"{', '.join(map(repr, keys))} {give} in [{owner}] or {rather}")
 
 
-def _unused(table: ProblemTable, known: set[str], waves: list[str]) -> dict[str, str]:
+def _unused(table: ProblemTable, present: set[str], waves: list[str]) -> dict[str, str]:
     """Return every quantity that nothing in the file may use -> the reason and the remedy."""
     soil, effects, record = table.soil, table.effects, at(table, f"{RANDOM}.record")
     by_index = "follows from the cone index: remove it, or set soil.adjust to another property"
     rows: list[tuple[object, str, str]] = [
-        (known & {*READINGS}, soil.adjusted, by_index),
+        (present & {*READINGS}, soil.adjusted, by_index),
         (soil.compaction, "soil.density_ratio", "follows from the compaction: remove one of the two"),
         (effects.orbit != "transient", "scene.duration",
          "is not used by a periodic orbit, whose duration is one wavelength: remove it"),

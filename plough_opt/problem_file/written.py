@@ -55,37 +55,33 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
     if (profile := scene.effects.tow_profile) is not None:
         speeds = [f"{part * values['scene.tow_speed']!r} m/s" for part in profile.speeds]
         entries["scene.tow_speed"] = {"time": [f"{time!r} s" for time in profile.times], "speed": speeds}
-    entries |= {f"effects.{key}": value for key, value in _choices(scene.effects)}
+    effects = scene.effects
+    choices = {name: getattr(effects, name) for name in CHOICES if getattr(effects, name) != getattr(Effects, name)}
+    choices |= [("contact", word) for word, (kind, _) in CONTACTS.items() if isinstance(effects.contact, kind)]
+    choices |= {"own": [_fields("effect", OWN_EFFECTS, own) for own in effects.own]} if effects.own else {}
+    entries |= {f"effects.{name}": value for name, value in choices.items()}
     if scene.medium != Scene.medium:
         entries["scene.medium"] = scene.medium if isinstance(scene.medium, str) else _fields("law", LAWS, scene.medium)
     lines = [f"{key} = {_toml(value)}" for key, value in entries.items()]
     with about("this scene cannot be written as a problem file:"):
         problem = read_source(Source("\n".join(lines) + "\n", _NAME), Path())
-    found = problem.scene()
-    soil = replace(found.soil, name=scene.soil.name, source=scene.soil.source)
-    if different := next(_differences("scene", scene, replace(found, soil=soil)), None):
+    read = problem.scene()
+    soil = replace(read.soil, name=scene.soil.name, source=scene.soil.source)
+    if different := next(_differences("scene", scene, replace(read, soil=soil)), None):
         raise InputError(f"this scene cannot be written as a problem file: {different}")
     # Units follow the size of the values, as in all results of Python.
     return replace(problem, displays={})
 
 
-def _choices(effects: Effects) -> Iterator[tuple[str, Any]]:
-    """Yield key and value of the choices among effects that are no quantities."""
-    for name in CHOICES:
-        if getattr(effects, name) != getattr(Effects, name):
-            yield name, getattr(effects, name)
-    yield from (("contact", word) for word, (kind, _) in CONTACTS.items() if isinstance(effects.contact, kind))
-    if effects.own:
-        yield "own", [_fields("effect", OWN_EFFECTS, one) for one in effects.own]
-
-
-def _fields(key: str, registry: Mapping[str, type], one: Any) -> dict[str, Any]:
+def _fields(key: str, registry: Mapping[str, type], value: Any) -> dict[str, Any]:
     """Return the fields of an effect or a law as a table that names its class."""
-    name = next((name for name, kind in registry.items() if kind is type(one)), type(one).__name__)
-    given = {each.name: getattr(one, each.name) for each in fields(one)}
-    units = {each.name: each.metadata.get("unit") for each in fields(one)}
-    said = {k: v if units[k] is None else f"{float(v)!r} {units[k]}".strip() for k, v in given.items() if v is not None}
-    return {key: name, **said}
+    name = next((name for name, kind in registry.items() if kind is type(value)), type(value).__name__)
+    table: dict[str, Any] = {key: name}
+    for field in fields(value):
+        number, unit = getattr(value, field.name), field.metadata.get("unit")
+        if number is not None:
+            table[field.name] = number if unit is None else f"{float(number)!r} {unit}".strip()
+    return table
 
 
 def _toml(value: Any) -> str:
@@ -97,19 +93,19 @@ def _toml(value: Any) -> str:
     return json.dumps(value if isinstance(value, bool | int | float | str) else shown(value))
 
 
-def _differences(name: str, one: Any, other: Any) -> Iterator[str]:
+def _differences(name: str, value: Any, other: Any) -> Iterator[str]:
     """Yield where two scenes differ by more than rounding."""
-    if is_dataclass(one) and type(one) is type(other):
-        for each in fields(one):
-            yield from _differences(f"{name}.{each.name}", getattr(one, each.name), getattr(other, each.name))
-    elif isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
-        for k, pair in enumerate(zip(one, other, strict=True)):
+    if is_dataclass(value) and type(value) is type(other):
+        for each in fields(value):
+            yield from _differences(f"{name}.{each.name}", getattr(value, each.name), getattr(other, each.name))
+    elif isinstance(value, tuple) and isinstance(other, tuple) and len(value) == len(other):
+        for k, pair in enumerate(zip(value, other, strict=True)):
             yield from _differences(f"{name}[{k}]", *pair)
-    elif isinstance(one, float) and isinstance(other, float):
-        if not np.isclose(one, other, rtol=_UNITS_ROUNDING, atol=_UNITS_ROUNDING / 10.0):
-            yield f"{name} = {one!r}"
-    elif one != other:
-        yield f"{name} = {shown(one)}"
+    elif isinstance(value, float) and isinstance(other, float):
+        if not np.isclose(value, other, rtol=_UNITS_ROUNDING, atol=_UNITS_ROUNDING / 10.0):
+            yield f"{name} = {value!r}"
+    elif value != other:
+        yield f"{name} = {shown(value)}"
 
 
 def tables_of(problem: Problem) -> dict[str, Any]:

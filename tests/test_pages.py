@@ -430,14 +430,14 @@ def workshop(tmp_path, monkeypatch):
             del sys.modules[name]
 
 
-def use(section, capsys, long=False):
-    """Run a section's other blocks in order, or only its lines that take long; return what each of them printed."""
+def use(section, capsys):
+    """Run a section's other blocks in order, but for the line that takes long; return what each of them printed."""
     said = []
     for language, text in SECTIONS[section]:
         if language == "sh":
-            lines = [line for line in text.splitlines() if ("accuracy tine" in line) is long]
+            lines = [line for line in text.splitlines() if "accuracy tine" not in line]
             said.append("".join(map(line_of_a_page, lines)))
-        elif not long and not text.startswith("# "):
+        elif not text.startswith("# "):
             exec(compile(text, f"CONTRIBUTING.md, {section}", "exec"), {})  # the page's own text
             said.append(capsys.readouterr().out)
     return said
@@ -465,7 +465,6 @@ def test_effect(workshop, capsys):
     rise = own.simulate().mean_draft - po.read_problem("tine.toml").simulate().mean_draft
     assert rise == pytest.approx(150.0 + 160.0, rel=1e-9)
     for wrong, told in (
-        ("[{effect='shank', static='150 N'}]", "is incomplete"),
         ("[{static='150 N'}]", "must be a list of tables with a name"),
         ("[{effect='shank', static='150 m', viscous='1 N*s/m'}]", "'static' = \"150 m\" has the wrong unit"),
         ("[{effect='shank', statik='150 N'}]", "'statik' is not a quantity of Shank: did you mean 'static'"),

@@ -91,9 +91,9 @@ def test_a_jump_leaves_equal_steps_for_a_method_that_finds_it(start, at, monkeyp
 
     monkeypatch.setattr(verified, "integrate", count)
     run = po.simulate(scene, 1.0)
-    switch = {"speed": lambda _, __, speed: speed - 1.9, "travel": lambda _, travel, __: travel - 0.5}[at]
+    switch = {"speed": lambda _, speed: speed - 1.9, "travel": lambda travel, _: travel - 0.5}[at]
     size = -500.0 if at == "speed" else 500.0
-    mean, rms = event_splitting.averages(scene, lambda _, __, sides: size * (0.5 + 0.5 * sides[0]), [switch], 1.0)
+    mean, rms = event_splitting.averages(scene, lambda side: size * (0.5 + 0.5 * side), switch, 1.0)
     error = max(abs(run.mean_draft - mean), abs(run.force_rms - rms)) / mean
     assert error <= run.error_estimate <= 1e-6
     # The law of order 8 would ask for millions.

@@ -155,7 +155,6 @@ def solved_anew(design, **options):
     """Solve a design again without what it remembers of its last certified optimum."""
     if design._program is not None:
         design._program.exact._tight.cache_clear()
-        design._program._caches.exact_values.clear()
     return design.solve(**options)
 
 

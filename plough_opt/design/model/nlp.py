@@ -88,29 +88,21 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
     if calls:
         expressions = without_labels(expressions, [node for _, node in calls])
         found, _ = _calls(ca.Function("whole", symbols, expressions, {"never_inline": True}))
-    results = tuple(
-        ca.MX.sym(f"results_{i}", sum(output.numel() for output in run.outputs)) for i, run in enumerate(found)
-    )
+    results = tuple(ca.MX.sym(f"results_{i}", sum(o.numel() for o in run.outputs)) for i, run in enumerate(found))
     old: list[ca.MX] = []
     new: list[ca.MX] = []
     for run, result in zip(found, results, strict=True):
         ends = np.cumsum([0, *(output.numel() for output in run.outputs)]).tolist()
         old += run.outputs
         new += [ca.reshape(result[i:j], o.shape) for o, i, j in zip(run.outputs, ends, ends[1:], strict=False)]
-    inputs, quantities = [run.inputs for run in found], [run.quantities for run in found]
-    groups = [expressions, inputs, quantities]
-    if found:
-        flat = iter(ca.graph_substitute([item for group in groups for item in group], old, new))
-        groups = [[next(flat) for _ in group] for group in groups]
-    expressions, inputs, quantities = groups
-    taken, given = [ca.vertcat(*(ca.vec(item) for item in items)) for items in (results, inputs)]
-    if found and ca.depends_on(given, taken):
+    flat = [*expressions, *(run.inputs for run in found), *(run.quantities for run in found)]
+    flat = ca.graph_substitute(flat, old, new) if found else flat
+    n, count = len(expressions), len(found)
+    inputs, quantities = flat[n : n + count], flat[n + count :]
+    if found and ca.depends_on(_column([ca.vec(item) for item in inputs]), _column([*results])):
         raise InputError(_GIVEN_RESULTS)
-    independent = (
-        replace(run, inputs=given, quantities=scene)
-        for run, given, scene in zip(found, inputs, quantities, strict=True)
-    )
-    return Split(tuple(independent), tuple(expressions), results, tuple(labels))
+    runs = (replace(run, inputs=p, quantities=q) for run, p, q in zip(found, inputs, quantities, strict=True))
+    return Split(tuple(runs), tuple(flat[:n]), results, tuple(labels))
 
 
 def _carried(calls: list[tuple[object, ca.MX]], symbols: list[ca.MX], runs: bool) -> list[tuple[object, ca.MX]]:
@@ -177,7 +169,8 @@ def refusals(
     checks: list[tuple[DomainCheck, ca.Function]] = []
     for template, own in columns.values():
         rows = list(zip(*map(ca.vertsplit, own), strict=True))
-        fixed = [_constant(row) for row in rows[:-1]]
+        numbers = [{float(value) if value.is_constant() else None for value in row} for row in rows[:-1]]
+        fixed = [own.pop() if len(own) == 1 else None for own in numbers]
         varying = [ca.horzcat(*row) for row, number in zip(rows, [*fixed, None], strict=True) if number is None]
         quantities = ca.Function("quantities", list(symbols), [ca.densify(ca.vertcat(*varying))])
         checks.append((DomainCheck(template, fixed), quantities))
@@ -191,12 +184,6 @@ def refusals(
         return found
 
     return reasons
-
-
-def _constant(values: Sequence[ca.MX]) -> float | None:
-    """Return the number that all expressions are, or None."""
-    numbers = {float(value) if value.is_constant() else None for value in values}
-    return numbers.pop() if len(numbers) == 1 else None
 
 
 def _scenes(parts: Split) -> Iterator[tuple[Scene, ca.MX]]:
@@ -289,16 +276,6 @@ class RunGroup:
                 by_theta[a, b] = by_theta[b, a] = row[k]
         results = [ca.mtimes([theta_y.T, by_theta, theta_y]), ca.mtimes(jet[:, 1 : 1 + count].T, mu)]
         return self._mapped([p, jet, theta_y, mu], [ca.densify(result) for result in results])
-
-    def run_below_run(self, blocks: ca.MX) -> ca.MX:
-        """Return derivatives by y as one matrix with a row for each result, from a block of columns for each run."""
-        # One slice for each variable and none for each run: the graph does not grow with the number of runs.
-        return ca.horzcat(*(ca.vec(blocks[:, k :: self.variables]) for k in range(self.variables)))
-
-    def run_beside_run(self, slopes: Any) -> Any:
-        """Return theta_y as a block of columns for each run, from one matrix with a row for each parameter."""
-        count = len(self.varying)
-        return ca.horzcat(*(slopes[k * count : (k + 1) * count, :] for k in range(len(self.members))))
 
     @property
     def _events(self) -> bool:
@@ -414,14 +391,9 @@ class Nlp:
 def ipopt_functions(values: ca.Function, slopes: ca.Function) -> dict[str, ca.Function]:
     """Return `Nlp.values` and `Nlp.slopes` as the four functions, by name, that CasADi's interface to IPOPT expects."""
     y, p = slopes.mx_in()
-    f, g = values(y, p)
-    again_f, again_g, gradient, jacobian = slopes(y, p)
-    results = {
-        "f": {"f": f},
-        "g": {"g": g},
-        "grad_f": {"f": again_f, "grad_f_x": gradient},
-        "jac_g": {"g": again_g, "jac_g_x": jacobian},
-    }
+    (f, g), (f_again, g_again, gradient, jacobian) = values(y, p), slopes(y, p)
+    results: dict[str, dict[str, ca.MX]] = {"f": {"f": f}, "g": {"g": g}}
+    results |= {"grad_f": {"f": f_again, "grad_f_x": gradient}, "jac_g": {"g": g_again, "jac_g_x": jacobian}}
     return {name: ca.Function(name, [y, p], list(own.values()), ["x", "p"], list(own)) for name, own in results.items()}
 
 
@@ -560,10 +532,12 @@ class _Algebra:
     @cached_property
     def theta_slopes(self) -> list[ca.Function]:
         """For each group, (y, p) -> theta_y, a block of columns for each run."""
-        blocks = [
-            group.run_beside_run(ca.jacobian(part, self.y)) for group, part in zip(self.groups, self.theta, strict=True)
-        ]
-        return [ca.Function("theta_slopes", [self.y, self.p], [ca.densify(block)]) for block in blocks]
+        functions = []
+        for group, part in zip(self.groups, self.theta, strict=True):
+            slopes, count = ca.jacobian(part, self.y), len(group.varying)
+            block = ca.horzcat(*(slopes[k * count : (k + 1) * count, :] for k in range(len(group.members))))
+            functions.append(ca.Function("theta_slopes", [self.y, self.p], [ca.densify(block)]))
+        return functions
 
     @cached_property
     def theta_curvature(self) -> ca.Function:
@@ -588,11 +562,9 @@ def _hessian(
     s = ca.vertcat(ca.MX.eye(y.numel()), o_y)
     l_zz_s, mu = algebra.curvature(y, p, o, s, *multipliers)
     hessian, weights = ca.mtimes(s.T, l_zz_s), []
-    position = 0
-    for group, *own in zip(groups, theta, jets, theta_y, strict=True):
-        end = position + group.size * len(group.members)
-        curvature, c = group.curvature.call([*own, ca.reshape(mu[position:end], group.size, -1)])
-        position = end
+    ends = np.cumsum([0, *(group.size * len(group.members) for group in groups)]).tolist()
+    for group, i, j, *own in zip(groups, ends, ends[1:], theta, jets, theta_y, strict=False):
+        curvature, c = group.curvature.call([*own, ca.reshape(mu[i:j], group.size, -1)])
         # The sum of the runs' square blocks.
         hessian += ca.repsum(curvature, 1, len(group.members))
         weights.append(ca.vec(c))
@@ -603,7 +575,11 @@ def _all_results(groups: list[RunGroup], by_group: list[list[ca.MX]], y: ca.MX) 
     """Return o and o_y of all runs, from (results, o_y) of each group in blocks of columns."""
     if not by_group:
         return ca.MX(0, 1), ca.MX(0, y.numel())
-    slopes = [group.run_below_run(o_y) for group, (_, o_y) in zip(groups, by_group, strict=True)]
+    # One slice for each variable and none for each run: the graph does not grow with the number of runs.
+    slopes = [
+        ca.horzcat(*(ca.vec(o_y[:, k :: group.variables]) for k in range(group.variables)))
+        for group, (_, o_y) in zip(groups, by_group, strict=True)
+    ]
     return ca.vertcat(*(ca.vec(o) for o, _ in by_group)), ca.vertcat(*slopes)
 
 
@@ -622,16 +598,13 @@ def as_machine_code(nlp: Nlp) -> Nlp | None:
 
     Second derivatives stay interpreted: few solves need them, and they take a compiler longest.
     """
-    compiled = in_machine_code([_named(nlp.values, "own_values"), _named(nlp.slopes, "own_slopes")], _VARIANTS)
-    if compiled is None:
+    y, p = nlp.values.mx_in()
+    functions = {"own_values": nlp.values, "own_slopes": nlp.slopes}
+    named = [ca.Function(name, [y, p], function.call([y, p])) for name, function in functions.items()]
+    if (compiled := in_machine_code(named, _VARIANTS)) is None:
         return None
     values, slopes = compiled
     return replace(nlp, values=values, build_slopes=lambda: slopes)
-
-
-def _named(function: ca.Function, name: str) -> ca.Function:
-    inputs = function.mx_in()
-    return ca.Function(name, inputs, function.call(inputs))
 
 
 def relaxed(nlp: Nlp, owner: Sequence[int]) -> Nlp:

@@ -51,12 +51,6 @@ def free_directions(rows: Vector) -> Vector:
     return np.asarray(right[int(np.sum(sizes > Zero.rank * max(1.0, sizes[0]))) :].T)
 
 
-def independent(rows: Vector, least: float) -> bool:
-    """Return whether the rows of a matrix, made of length 1, have no singular value below a least one."""
-    lengths = np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.finfo(float).tiny)
-    return not len(rows) or int(np.linalg.matrix_rank(rows / lengths, least)) == len(rows)
-
-
 def reduced_curvatures(hessian: Vector, free: Vector) -> tuple[Vector, Vector]:
     """Return the curvatures within a subspace, ascending and relative to the Hessian's size, with their directions.
 

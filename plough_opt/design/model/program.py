@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections import defaultdict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -17,7 +18,7 @@ from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
-from plough_opt.design.model.nlp import MANY_STEPS, Nlp, Split, as_machine_code, build_nlp, first_slack, relaxed, split
+from plough_opt.design.model.nlp import MANY_STEPS, Nlp, as_machine_code, build_nlp, first_slack, relaxed, split
 from plough_opt.design.model.population import Population
 from plough_opt.design.model.tight_integration import (
     TightEvaluation,
@@ -66,14 +67,12 @@ class BuiltProgram:
     @cached_property
     def solver(self) -> Solver:
         """IPOPT on the program."""
-        return self._solver_of(self.nlp)
+        return Solver(self.nlp, self.program.low, self.program.high, self.program.ipopt)
 
     @cached_property
     def relaxed(self) -> Solver:
         """IPOPT on the sum of the requirements' violations."""
-        return self._solver_of(relaxed(self.nlp, self.program.owner))
-
-    def _solver_of(self, nlp: Nlp) -> Solver:
+        nlp = relaxed(self.nlp, self.program.owner)
         return Solver(nlp, self.program.low, self.program.high, self.program.ipopt)
 
 
@@ -83,28 +82,14 @@ _MOST_PROGRAMS = 6
 Cached = TypeVar("Cached")
 
 
-@dataclass(frozen=True)
-class _Caches:
-    """What all programs of a design share; an entry depends on nothing but its key.
-
-    Several built programs are kept, so that solving the same question again gives the same result to the last bit,
-    whatever was solved in between.
-    """
-
-    built: dict[Hashable, BuiltProgram] = field(default_factory=dict)
-    parts: dict[Hashable, Split] = field(default_factory=dict)
-    population: dict[Hashable, Population] = field(default_factory=dict)
-    values_at_guess: dict[Hashable, list[Vector]] = field(default_factory=dict)
-    exact_values: dict[Hashable, list[Vector]] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False)
 class Program:
     """The scaled program of a design: variables between 0 and 1, objective and requirements of order 1.
 
     A program never changes. `Program.of` splits the declared expressions around their runs, `at` returns the program
     with scales, which depend on the values of the parameters, and `with_steps` the one with numbers of integration
-    steps, which can be solved. All of them share the functions that were built.
+    steps, which can be solved. All of them share the functions that were built. Several built programs are
+    kept, so that solving the same question again gives the same result to the last bit, whatever was solved in between.
 
     Attributes:
         declared: the declarations; limits of theories that the expressions use are appended to the requirements.
@@ -131,7 +116,7 @@ class Program:
     _y: ca.MX
     _p: ca.MX
     ipopt: dict[str, Any] = field(default_factory=dict)
-    _caches: _Caches = field(default_factory=_Caches)
+    _caches: dict[str, dict[Hashable, Any]] = field(default_factory=partial(defaultdict, dict))
     objective_scale: float = 1.0
     scales: tuple[float, ...] = ()
     low: Vector = field(default_factory=partial(np.empty, 0))
@@ -161,8 +146,13 @@ class Program:
         Raises:
             InputError: an expression contains a symbol that was not declared, or a run uses the method 'idas'.
         """
-        _refuse_undeclared(declared)
         own = declared.requirements
+        for name, expression in zip(["objective", *(r.name for r in own)], declared.expressions(), strict=True):
+            if strangers := declared.strangers(expression):
+                raise InputError(
+                    f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): create them"
+                    " with its design.variable or design.parameter"
+                )
         exact = TightEvaluation(declared.expressions(), declared.symbols())
         if exact.limits:
             implied = (Requirement(*limit, inside=INSIDE) for limit in exact.limits)
@@ -194,8 +184,7 @@ class Program:
 
     def exact_values(self, y: Vector, p: Vector, *, check: bool = False) -> list[Vector]:
         """Return objective and requirements by tight integration, or by the method that checks it."""
-        numbers, at = [*self.values(y), *p], (y.tobytes(), p.tobytes(), check)
-        return cached(self._caches.exact_values, at, lambda: self.exact.values(numbers, check=check), _MOST_PROGRAMS)
+        return self.exact.values([*self.values(y), *p], check=check)
 
     @cached_property
     def first_rows(self) -> list[int]:
@@ -236,12 +225,12 @@ class Program:
             InputError: the objective or a requirement has no value at the guess nor, with ``any_guess``, in the sample.
             DomainError: the bounds exceed the model's domain.
         """
-        key, cache = p.tobytes(), self._caches.values_at_guess
+        key, cache = p.tobytes(), self._caches["at guess"]
         if key not in cache:
             check_bounds(self.declared, self.exact, p)
         try:
-            implied = self.declared.requirements[len(self.own_requirements) :]
-            values = cached(cache, key, lambda: values_at_guess(self.declared, self.exact, implied, p))
+            own = len(self.own_requirements)
+            values = cached(cache, key, lambda: values_at_guess(self.declared, self.exact, own, p))
         except InputError as error:
             if not any_guess:
                 raise
@@ -264,18 +253,18 @@ class Program:
         designs = [at for _, at in corners(self.declared)] if starts is None else map(self.values, starts)
         steps = steps_at(self.exact, [[*values, *p] for values in designs], refinement)
         key = (*steps, self.objective_scale, *self.scales)
-        built = cached(self._caches.built, key, lambda: self._write(steps), _MOST_PROGRAMS)
+        built = cached(self._caches["built"], key, lambda: self._write(steps), _MOST_PROGRAMS)
         return replace(self, refinement=refinement, checked=None, _built=built)
 
     def _write(self, steps: list[int | None]) -> BuiltProgram:
         """Return the program with certain numbers of steps."""
         key = (self.objective_scale, *self.scales)
         y, p = self._y, self._p
-        parts = cached(self._caches.parts, key, lambda: split(self.scaled(y, p), [y, p]))
+        parts = cached(self._caches["parts"], key, lambda: split(self.scaled(y, p), [y, p]))
         # A program that is translated as a whole cannot call machine code.
         by_code = math.inf if self.compiled else 1 if self.many_slopes else MANY_STEPS
         # The scaled program alone: what is built must not refer to the cache that it is kept in.
-        scaled = replace(self, checked=None, _built=None, _caches=_Caches())
+        scaled = replace(self, checked=None, _built=None, _caches={})
         return BuiltProgram(scaled, steps, partial(build_nlp, parts, y, p, by_code=by_code))
 
     @property
@@ -287,12 +276,13 @@ class Program:
     @property
     def population(self) -> Population:
         """Evaluates objective and requirements, unscaled, at many scaled designs at once."""
-        return cached(self._caches.population, None, self._write_population)
+        y, p, (objective, *rows) = self._y, self._p, self.declared.expressions()
 
-    def _write_population(self) -> Population:
-        objective, *rows = self.declared.expressions()
-        raw = self._of_scaled([objective, ca.vertcat(*rows)], self._y, self._p)
-        return Population(split(raw, [self._y, self._p]), self._y, self._p)
+        def write() -> Population:
+            return Population(split(self._of_scaled([objective, ca.vertcat(*rows)], y, p), [y, p]), y, p)
+
+        population: Population = cached(self._caches["population"], None, write)
+        return population
 
     def scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Return scaled objective and requirements as expressions of scaled variables and parameters."""
@@ -320,13 +310,11 @@ class Program:
             values: of objective and requirements.
             key: the parameters, as bytes.
         """
-        requirements = self.declared.requirements
         scales = tuple(
             r.scale or (_power_of_four(size) if (size := float(np.max(np.abs(value)))) else 1.0)
-            for r, value in zip(requirements, values[1:], strict=True)
+            for r, value in zip(self.declared.requirements, values[1:], strict=True)
         )
-        scaled = replace(self._with_scales(scales), _scaled_at=key)
-        return scaled.with_objective_scale(float(values[0].item()))
+        return replace(self._with_scales(scales), _scaled_at=key).with_objective_scale(float(values[0].item()))
 
     def with_scales_around(self, y: Vector, p: Vector) -> Program:
         """Return the program with smaller scales of limits of 0 whose values near a design are far below those.
@@ -351,9 +339,8 @@ class Program:
 
     def _with_scales(self, scales: tuple[float, ...]) -> Program:
         """Return the program with its requirements scaled."""
-        requirements = self.declared.requirements
-        low = np.array([requirements[k].low / scales[k] for k in self.owner])
-        high = np.array([requirements[k].high / scales[k] for k in self.owner])
+        limits = [(r.low / scale, r.high / scale) for r, scale in zip(self.declared.requirements, scales, strict=True)]
+        low, high = np.array([limits[k] for k in self.owner]).reshape(-1, 2).T
         return replace(self, scales=scales, low=low, high=high, _built=None)
 
     def with_objective_scale(self, objective: float) -> Program:
@@ -430,16 +417,6 @@ class Program:
         point = self.built.relaxed.solve(np.r_[start, slack], p, lower, upper, options)
         y, slack = np.clip(point.y[:n], 0.0, 1.0), point.y[n:]
         return replace(point, y=y, lam_y=point.lam_y[:n]), slack[:count] + slack[count:]
-
-
-def _refuse_undeclared(declared: Declarations) -> None:
-    names = ["objective", *(r.name for r in declared.requirements)]
-    for name, expression in zip(names, declared.expressions(), strict=True):
-        if strangers := declared.strangers(expression):
-            raise InputError(
-                f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): create them"
-                " with its design.variable or design.parameter"
-            )
 
 
 def _bounds(start: Vector, box: float, fixed: Sequence[int]) -> tuple[Vector, Vector]:

@@ -13,7 +13,7 @@ import numpy as np
 from plough_opt.core.checks import Call, DomainLimit, declared, recorded_limits
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import is_quantity, is_symbolic, map_expressions, with_numbers
-from plough_opt.design.declarations import Declarations, Requirement
+from plough_opt.design.declarations import Declarations
 from plough_opt.design.model.nlp import Split, Vector, has_own_law, is_own, split
 from plough_opt.motion.equation import parameters as parameters_of
 from plough_opt.motion.methods import Accuracy
@@ -71,29 +71,28 @@ class TightEvaluation:
         self.parts = parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
-        # Scenes without integration, and calls of laws, each with the Function that gives its quantities.
-        self._scenes: list[tuple[Scene, ca.Function]] = []
-        self._calls: list[tuple[Call, ca.Function]] = []
         # Scenes and calls by their templates. Own laws and profiles take no arrays.
         alike: dict[int, tuple[Any, Callable[[Any], object], list[ca.MX]]] = {}
         self._checked_alike = True
         for meaning, carried in (*((run.template, run.quantities) for run in parts.runs), *parts.labels):
             if isinstance(meaning, Scene):
+                template, check = meaning, Scene.check_reaction
                 self._checked_alike &= not has_own_law(meaning) and meaning.soil.density_profile is None
-                alike.setdefault(id(meaning), (meaning, Scene.check_reaction, []))[2].append(ca.vec(carried))
             elif not meaning.limited:
+                template, check = meaning.template, meaning.run
                 self._checked_alike &= not is_own(meaning.law)
-                alike.setdefault(id(meaning), (meaning.template, meaning.run, []))[2].append(ca.vec(carried))
-        self._alike = [
-            (template, check, ca.Function("alike", list(symbols), [ca.densify(ca.horzcat(*columns))]))
-            for template, check, columns in alike.values()
-        ]
-        for meaning, carried in parts.labels:
-            quantities = ca.Function("quantities", list(symbols), [ca.densify(ca.vec(carried))])
-            if isinstance(meaning, Scene):
-                self._scenes.append((meaning, quantities))
-            elif not meaning.limited:
-                self._calls.append((meaning, quantities))
+            else:
+                continue
+            alike.setdefault(id(meaning), (template, check, []))[2].append(ca.vec(carried))
+
+        def quantities(*columns: ca.MX) -> ca.Function:
+            return ca.Function("quantities", list(symbols), [ca.densify(ca.horzcat(*columns))])
+
+        self._alike = [(template, check, quantities(*columns)) for template, check, columns in alike.values()]
+        # Scenes without integration, and calls of laws, each with the Function that gives its quantities.
+        labels = [(meaning, quantities(ca.vec(carried))) for meaning, carried in parts.labels]
+        self._scenes = [(meaning, of) for meaning, of in labels if isinstance(meaning, Scene)]
+        self._calls = [(meaning, of) for meaning, of in labels if isinstance(meaning, Call) and not meaning.limited]
         self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
 
     @cached_property
@@ -130,8 +129,8 @@ class TightEvaluation:
 
     def given(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Vector]:
         """Return a run's parameters, with the duration last, and its scene's quantities at numbers."""
-        parameters, quantities = (result.full().ravel() for result in self._inputs[run](*map(float, numbers)))
-        return parameters, quantities
+        parameters, quantities = self._inputs[run](*map(float, numbers))
+        return parameters.full().ravel(), quantities.full().ravel()
 
     def scenes(self, numbers: Sequence[float]) -> list[Scene]:
         """Return the scenes of all runs, and then the `quasi_static_scenes`.
@@ -312,42 +311,40 @@ def _tight_results(own: Integration, inputs: tuple[float, ...], check: bool) -> 
     return np.concatenate([part.ravel() for part in parts])
 
 
-def values_at_guess(
-    declared: Declarations, exact: TightEvaluation, implied: Sequence[Requirement], p: Vector
-) -> list[Vector]:
+def values_at_guess(declared: Declarations, exact: TightEvaluation, own: int, p: Vector) -> list[Vector]:
     """Return objective and requirements at the guess.
 
     Args:
         declared: the design.
         exact: its objective and requirements.
-        implied: the requirements implied by theories, which are the last of all requirements.
+        own: number of requirements that the user declared; limits of theories follow.
         p: parameters.
 
     Raises:
         InputError: one of them cannot be evaluated there, or a theory's limit is exceeded.
     """
-    guess = np.array([v.guess for v in declared.variables])
-    place = declared.describe(guess)
+    guess = [v.guess for v in declared.variables]
+    at = f"at the start ({declared.describe(np.array(guess))})"
     try:
-        found = exact.values([*guess, *p])
+        values = exact.values([*guess, *p])
     except (PloughError, RuntimeError) as error:
-        raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
+        raise InputError(f"the model cannot be evaluated {at}: {error}") from error
     refusal = exact.refusal([*guess, *p])
-    for limit, value in zip(implied, found[len(found) - len(implied) :], strict=True):
-        if np.min(limit.margins(value)) < 0.0:
-            least, most = float(np.min(value)), float(np.max(value))
-            worst, side = (most, f"up to {limit.high:.6g}") if most > limit.high else (least, f"from {limit.low:.6g}")
+    for limit, value in zip(declared.requirements[own:], values[1 + own :], strict=True):
+        worst = float(value.ravel()[np.argmin(limit.margins(value.ravel()))])
+        if limit.margins(np.array(worst)) < 0.0:
+            side = f"up to {limit.high:.6g}" if worst > limit.high else f"from {limit.low:.6g}"
             raise InputError(
-                f"at the start ({place}) '{limit.name}' is {worst:.6g}, but the theory holds only {side}: start there,"
-                f" and let the bounds reach there ({refusal})"
+                f"{at} '{limit.name}' is {worst:.6g}, but the theory holds only {side}: start there, and let the bounds"
+                f" reach there ({refusal})"
             )
     if refusal:
-        raise InputError(f"the model cannot be evaluated at the start ({place}): {refusal}")
+        raise InputError(f"the model cannot be evaluated {at}: {refusal}")
     names = ["the objective", *(f"requirement '{r.name}'" for r in declared.requirements)]
-    for name, value in zip(names, found, strict=True):
+    for name, value in zip(names, values, strict=True):
         if not np.all(np.isfinite(value)):
-            raise InputError(f"{name} is not a finite number at the start ({place}): choose another guess")
-    return found
+            raise InputError(f"{name} is not a finite number {at}: choose another guess")
+    return values
 
 
 def _refusal_of(scenes: Sequence[Scene]) -> str:

@@ -132,10 +132,8 @@ def _names_of(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
     first = next((k for k in waves if all(own[k].branch for own in scenes)), None)
     if first is None:
         return ["optimum"] if len(scenes) == 1 else [f"optimum {k + 1}" for k in range(len(scenes))]
-    moving = [own[first] for own in scenes]
-    ratios = [float(scene.natural_frequency / scene.wave_frequency) for scene in moving]
     names = [
-        f"{scene.branch} branch, {ratio:.2f} of the wave's frequency"
-        for scene, ratio in zip(moving, ratios, strict=True)
+        f"{scene.branch} branch, {float(scene.natural_frequency / scene.wave_frequency):.2f} of the wave's frequency"
+        for scene in (own[first] for own in scenes)
     ]
     return [name if names.count(name) == 1 else f"{name} ({names[:k].count(name) + 1})" for k, name in enumerate(names)]

@@ -23,7 +23,6 @@ from plough_opt.design.model.optimality import (
     Zero,
     decides,
     free_directions,
-    independent,
     newton_step,
     reduced_curvatures,
     symmetric,
@@ -497,7 +496,7 @@ class ActiveSet:
 
     def _refuse_degenerate(self) -> None:
         a = self.gradients[self.deciding, : self.n]
-        if not independent(a, Zero.rank):
+        if free_directions(a).shape[1] > self.n - len(a):
             raise InputError(
                 f"the limits that decide ({', '.join(self.names(self.deciding))}) are not independent: their"
                 " multipliers are not unique, so there are no derivatives; drop or loosen one of them"

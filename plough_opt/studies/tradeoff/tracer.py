@@ -64,6 +64,9 @@ _END_ROUNDS, _CLEARANCE = 4, 1e-6
 # Distances between shown points, in steps: above the first no other point comes between them if enough are shown, above
 # the second if not.
 _COVERED, _CROWDED = 0.67, 0.1
+# A curve shows a bend that the line between neighbours cuts off by more than this many squares of a step; a front that
+# is bent evenly stays below a quarter.
+_BEND = 2.0
 
 
 @dataclass(eq=False)
@@ -149,7 +152,9 @@ class Tracer:
             archive.sample_evenly()  # designs nearly best in one objective and good in another are starts of anchors
         ends = archive.evaluate(np.array([points[0] for points in starts]))[0]
         between, sizes = np.ptp(ends, axis=0), np.maximum(np.abs(ends).max(axis=0), 1.0)
-        self._ranges = np.where(between > _SAME_OBJECTIVES * sizes, between, sizes)
+        # Of three objectives, one may be as good in all starts, and yet differ between the anchors.
+        least = _SAME_OBJECTIVES * sizes
+        self._ranges = np.where(between > least, between, least if n == 2 else sizes)
         front.normalise(ends.min(axis=0), self._ranges)
         front.build([*np.vstack(starts), *archive.thinned()])
         optima: list[list[Point]] = []
@@ -224,12 +229,16 @@ class Tracer:
         A position on a surface can hold an optimum where it would rather have more of an objective. Such an optimum is
         not on the front.
         """
-        front, sound = self.front, self.candidates if candidates is None else candidates
-        if front.count > 2:
-            sound = [c for c in sound if np.all(front.weights_at(c.point, c.p) > -Zero.multiplier)]
+        sound = self.candidates if candidates is None else candidates
+        if self.front.count > 2:
+            sound = [candidate for candidate in sound if self._balances(candidate)]
         objectives = self.objectives_of(sound)
         best = undominated(objectives)
         return [sound[k] for k in best[np.lexsort(objectives[best].T[::-1])]]
+
+    def _balances(self, candidate: Candidate) -> bool:
+        """Return whether no objective has a negative weight at a candidate."""
+        return bool(np.all(self.front.weights_at(candidate.point, candidate.p) > -Zero.multiplier))
 
     def is_beaten(self, candidate: Candidate) -> bool:
         """Return whether some other candidate is better in one objective and, within what matters, no worse in any."""
@@ -446,16 +455,20 @@ class Tracer:
         objectives = front.objectives(y)
         node = self._nearest(objectives[None])[0]
         limits = [front.limited(k, objectives, _WEIGHTS[2][1]) for k in range(front.count)]
-        positions = (
-            [] if front.count == 2 or node in self._taken() else [self._parameters_at(np.array(node) * self.step)]
-        )
         near = min(self.candidates, key=lambda other: float(np.max(np.abs(other.point.y - y)))).point
-        for p in (*positions, self._parameters_at(objectives), *limits):
+        if front.count > 2 and node not in self._taken():
+            p = self._parameters_at(np.array(node) * self.step)
+            point = front.solve(near, y, p)
+            if point.solved and np.any(front.objectives(point.y) < objectives + MATTERS):
+                candidate = self.candidate_of(point, p)
+                if self._balances(candidate):
+                    return candidate
+        for p in (self._parameters_at(objectives), *limits):
             point = front.solve(near, y, p)
             if not _no_worse(point, point_as_found(front.program, p, y)):
                 continue
             candidate = self.candidate_of(point, p)
-            if np.all(front.weights_at(candidate.point, candidate.p) > 0.0):
+            if self._balances(candidate):
                 return candidate
             fallback = fallback or candidate
         return fallback
@@ -489,7 +502,7 @@ class Tracer:
             The weights, which add up to 1; None if there are none, or the last objective has none.
         """
         front, point, p = self.front, candidate.point, candidate.p
-        for falling in (0, 1) if front.count == 2 else ():
+        for falling in (0, 1) if front.count == 2 and len(self.candidates) > 1 else ():
             if front.position_decides(point):
                 break
             inside = candidate.objectives + _INWARD * self.step * np.where(np.arange(2) == falling, -1.0, 1.0)
@@ -525,7 +538,7 @@ class Tracer:
     def _spread(self, objectives: Array, ends: Sequence[int]) -> list[int]:
         """Return the rows of efficient candidates to show: ends, those at nodes, anchors, and the farthest from these.
 
-        Rows are added until every other one is near: on a curve where neighbours have a gap between them.
+        Rows are added until every other one is near; on a curve only in gaps between neighbours, and at bends.
         """
         places = locations(objectives) if objectives.shape[1] == 2 else objectives
         far: Array = np.full(len(objectives), np.inf)
@@ -541,18 +554,17 @@ class Tracer:
         for k in dict.fromkeys((*ends, *np.flatnonzero(off <= _AT_NODE).tolist(), *anchors)):
             if k in ends or far[k] > _CROWDED * self.step:
                 show(k)
-        while np.any(beyond := far > self._room(places, shown) * self.step):
+        while np.any(beyond := far > self._room(objectives, shown) * self.step):
             show(int(np.argmax(np.where(beyond, far, 0.0))))
         return sorted(shown)
 
-    def _room(self, places: Array, shown: Sequence[int]) -> Array:
+    def _room(self, objectives: Array, shown: Sequence[int]) -> Array:
         """Return how far from the shown ones each row of efficient candidates must lie to be shown, too, in steps."""
         if self.front.count > 2:
-            return np.full(len(places), _CROWDED if len(shown) < self._count else _COVERED)
-        rows = np.sort(shown)
-        after = np.clip(np.searchsorted(rows, np.arange(len(places))), 1, len(rows) - 1)
-        between = np.abs(places[rows[after]] - places[rows[after - 1]]).max(axis=1)
-        return np.where(between > GAP[2] * self.step, _CROWDED, np.inf)
+            return np.full(len(objectives), _CROWDED if len(shown) < self._count else _COVERED)
+        # In a gap, or at a bend that the line between neighbours cuts off.
+        cut = self._below_curve(objectives[np.sort(shown)], objectives) > _BEND * self.step**2
+        return np.where(cut, _CROWDED, np.inf)
 
 
 def _no_worse(point: Point, start: Point) -> bool:

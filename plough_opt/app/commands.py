@@ -90,9 +90,7 @@ def check(options: argparse.Namespace) -> None:
     columns = {"quantity": [*values], "value": [*values.values()], "unit": [EVERY[key].unit for key in values]}
     frame: Callable[[], Any] = partial(data_frame, columns, {})
     if options.effects:
-        with progress() as notify:
-            notify("measuring the effects", 0.0)
-            costs = effect_costs(scene, values.get("scene.duration"))
+        costs = effect_costs(scene, values.get("scene.duration"))
         page = replace(page, parts=(*page.parts, *tables.effects_parts(costs)))
         plain["effects"] = rows = [asdict(cost) for cost in costs]
         frame = partial(data_frame, {key: [row[key] for row in rows] for key in rows[0]}, {})

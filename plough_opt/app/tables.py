@@ -120,13 +120,11 @@ def _simulated(problem: Problem, scene: Scene) -> Grid:
 
 
 def effects_parts(costs: Sequence[EffectCost]) -> tuple[Part, ...]:
-    """Return what each effect adds to the equation of motion and to the operations of a run, and refusals."""
-    headings = ("effect", "", "nodes", "states", "events", "operations, with it over without")
-    table = Grid.of("What each effect adds to this scene", *headings)
+    """Return what each effect adds to the equation of motion, and refusals."""
+    table = Grid.of("What each effect adds to this scene", "effect", "", "nodes", "states", "events")
     for cost in costs:
         sizes = [f"{size:+d}" for size in (cost.nodes, cost.states, cost.events)]
-        ratio = "an iteration" if cost.operations is None else f"{cost.operations:.3g}"
-        cells = ("", "", "", "impossible, see below") if cost.refused else (*sizes, ratio)
+        cells = ("", "", "impossible, see below") if cost.refused else sizes
         table.row(cost.name, "on" if cost.on else "off", *cells)
     return (table, *(f"{cost.name}: {cost.refused}." for cost in costs if cost.refused))
 

@@ -233,8 +233,8 @@ class Solver:
         y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
         stats, f = solver.stats(), float(result["f"])
         status, iterations = stats["return_status"], int(stats["iter_count"])
-        ends = ("Solve_Succeeded", "Solved_To_Acceptable_Level") if enough else ("Solve_Succeeded",)
-        solved = status in ends and bool(np.all(np.isfinite(y)))
+        solved = status == "Solve_Succeeded" or (enough and status == "Solved_To_Acceptable_Level")
+        solved &= bool(np.all(np.isfinite(y)))
         _LOG.debug("IPOPT from %s: %s in %d iterations, scaled objective %.9g", begin, status, iterations, f)
         return Point(solved, status, y, f, lam_g, lam_y, iterations)
 

@@ -20,7 +20,7 @@ all runs, one below the other, in the order of the `RunGroup` s and of the runs 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -153,10 +153,8 @@ def has_own_law(scene: Scene) -> bool:
     return is_own(type(scene.law))
 
 
-def refusals(
-    parts: Split, symbols: Sequence[ca.MX], selected: Callable[[Scene], bool] = lambda _: True
-) -> Callable[..., dict[int, str]]:
-    """Return a function for the refusals of all scenes in split expressions, or of those that a condition selects.
+def refusals(parts: Split, symbols: Sequence[ca.MX], *, own_laws_only: bool = False) -> Callable[..., dict[int, str]]:
+    """Return a function for the refusals of all scenes in split expressions, or of those with a user's law.
 
     It takes values of each symbol (a column), with a row for each design, and returns number -> reason of every design
     with a scene outside the model's domain; ``declared`` is as in `DomainCheck.reasons`.
@@ -164,7 +162,7 @@ def refusals(
     # Runs that share a template are checked together.
     columns: dict[int, tuple[Scene, list[ca.MX]]] = {}
     for template, column in _scenes(parts):
-        if selected(template):
+        if has_own_law(template) or not own_laws_only:
             columns.setdefault(id(template), (template, []))[1].append(column)
     checks: list[tuple[DomainCheck, ca.Function]] = []
     for template, own in columns.values():
@@ -446,6 +444,18 @@ def algebra_of(parts: Split, y: ca.MX, p: ca.MX) -> ca.Function:
     return whole if holds_maps(whole) else whole.expand()
 
 
+def around_runs(
+    algebra: ca.Function, parts: Split, sizes: Mapping[int, int]
+) -> tuple[Any, Any, dict[int, Any], Sequence[Any]]:
+    """Return symbols of y, p and the last results of each run, as many as are used, and `algebra_of` them."""
+    kind: Any = ca.SX if algebra.is_a("SXFunction") else ca.MX
+    y, p = kind.sym("y", algebra.numel_in(0)), kind.sym("p", algebra.numel_in(1))
+    used = {k: kind.sym("o", size) for k, size in sizes.items()}
+    # Zeros stand for the results before the first one used: nothing depends on them.
+    padded = [ca.vertcat(kind.zeros(own.numel() - sizes[k]), used[k]) for k, own in enumerate(parts.results)]
+    return y, p, used, algebra(y, p, *padded)
+
+
 def averages_only(run: EmbeddedRun, algebra: ca.Function, result: int) -> bool:
     """Return True if the expressions use nothing of a run but its averages.
 
@@ -490,17 +500,10 @@ class _Algebra:
     @classmethod
     def around(cls, groups: list[RunGroup], parts: Split, variables: ca.MX, parameters: ca.MX) -> _Algebra:
         """Write the graph around runs with those results only that the groups provide."""
-        whole = algebra_of(parts, variables, parameters)
-        kind: Any = ca.SX if whole.is_a("SXFunction") else ca.MX
-        y, p = kind.sym("y", variables.numel()), kind.sym("p", parameters.numel())
-        used = {k: kind.sym("o", group.size) for group in groups for k in group.members}
-        # Zeros stand for the results before the first one used: nothing depends on them.
-        padded = [
-            ca.vertcat(kind.zeros(symbol.numel() - used[k].numel()), used[k]) for k, symbol in enumerate(parts.results)
-        ]
+        sizes = {k: group.size for group in groups for k in group.members}
+        y, p, used, (objective, requirements) = around_runs(algebra_of(parts, variables, parameters), parts, sizes)
         theta = [ca.vec(group.inputs(y, p)[list(group.varying), :]) for group in groups]
-        objective, requirements = whole(y, p, *padded)
-        return cls(y, p, _column(list(used.values()), kind), objective, requirements, groups, theta)
+        return cls(y, p, _column([used[k] for k in sizes], type(y)), objective, requirements, groups, theta)
 
     @cached_property
     def values(self) -> ca.Function:

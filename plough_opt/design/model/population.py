@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,7 +11,7 @@ from plough_opt.core.compiler import by_rows
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
 from plough_opt.design.model.ipopt import Vector
-from plough_opt.design.model.nlp import EmbeddedRun, Split, algebra_of, averages_only, has_own_law, holds_maps, refusals
+from plough_opt.design.model.nlp import EmbeddedRun, Split, algebra_of, around_runs, averages_only, holds_maps, refusals
 from plough_opt.motion.solvers.compiled_steps import ManyRuns
 from plough_opt.motion.solvers.integrators import Integration, integration
 
@@ -73,9 +72,12 @@ class Population:
         inputs = [ca.horzcat(*(parts.runs[k].inputs for k in group.members)) for group in self._groups]
         given = ca.Function("inputs", [y, p], [ca.densify(one) for one in inputs])
         self._inputs = by_rows(given if holds_maps(given) else given.expand())
-        algebra = _algebra_of_groups(full, parts, self._groups)
+        sizes = {k: group.size for group in self._groups for k in group.members}
+        own_y, own_p, used, values = around_runs(full, parts, sizes)
+        columns = [ca.vertcat(*(used[k] for k in group.members)) for group in self._groups]
+        algebra = ca.Function("algebra", [own_y, own_p, *columns], [ca.densify(value) for value in values])
         self._algebra, self._rows = by_rows(algebra), algebra.numel_out(1)
-        self._own_laws = refusals(parts, [y, p], has_own_law)
+        self._own_laws = refusals(parts, [y, p], own_laws_only=True)
 
     def _group(self, parts: Split, members: list[int], key: object) -> _Group:
         if isinstance(key, tuple):
@@ -125,21 +127,6 @@ class Population:
         # A user's law may refuse numbers although its expressions have values.
         f[[*self._own_laws(*given, declared=False)]] = np.nan
         return f.ravel(), g
-
-
-def _algebra_of_groups(full: ca.Function, parts: Split, groups: list[_Group]) -> ca.Function:
-    """Return the Function (y, p, stacked results of each group's members) -> (objective, requirements)."""
-    kind: Any = ca.SX if full.is_a("SXFunction") else ca.MX
-    y, p = kind.sym("y", full.numel_in(0)), kind.sym("p", full.numel_in(1))
-    given, results = [], {}
-    for group in groups:
-        column = kind.sym("o", group.size * len(group.members))
-        given.append(column)
-        for j, k in enumerate(group.members):
-            own = column[j * group.size : (j + 1) * group.size]
-            results[k] = ca.vertcat(kind.zeros(parts.results[k].numel() - group.size), own)
-    ordered = map(results.__getitem__, range(len(parts.results)))
-    return ca.Function("algebra", [y, p, *given], [ca.densify(one) for one in full(y, p, *ordered)])
 
 
 def _rough_integration(run: EmbeddedRun) -> Integration:

@@ -465,7 +465,7 @@ def test_effect(workshop, capsys):
     rise = own.simulate().mean_draft - po.read_problem("tine.toml").simulate().mean_draft
     assert rise == pytest.approx(150.0 + 160.0, rel=1e-9)
     for wrong, told in (
-        ("[{static='150 N'}]", "must be a list of tables with a name"),
+        ("[{static='150 N'}]", "must be a table such as { effect = "),
         ("[{effect='shank', static='150 m', viscous='1 N*s/m'}]", "'static' = \"150 m\" has the wrong unit"),
         ("[{effect='shank', statik='150 N'}]", "'statik' is not a quantity of Shank: did you mean 'static'"),
     ):

@@ -5,7 +5,10 @@ import re
 import shutil
 from importlib.util import find_spec
 from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Literal, Union, get_args, get_origin
 
+import numpy as np
 from sphinx import search
 
 import plough_opt
@@ -75,9 +78,42 @@ def signature(_app, what, _name, thing, _options, given, _returned):
     if what == "class" and hasattr(thing, "save"):  # a result is returned, not built
         return "", None
     own = inspect.signature(thing)
-    parameters = [one for one in own.parameters.values() if one.name not in ("self", "cls")]
-    returned = None if what == "class" or own.return_annotation is own.empty else str(own.return_annotation)
+    parameters = [
+        one if one.annotation is one.empty else one.replace(annotation=Written(one.annotation))
+        for one in own.parameters.values()
+        if one.name not in ("self", "cls")
+    ]
+    returned = None if what == "class" or own.return_annotation is own.empty else written(own.return_annotation)
     return str(own.replace(parameters=parameters, return_annotation=own.empty)), returned
+
+
+class Written:
+    """An annotation that is printed in few words."""
+
+    def __init__(self, kind):
+        self.kind = kind
+
+    def __repr__(self):
+        return written(self.kind)
+
+
+def written(kind):
+    """Return a type by the names that a reader knows, without what annotations add for saving and checking."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return written(parts[0])
+    if origin in (Union, UnionType):
+        return " | ".join(map(written, parts))
+    if origin is np.ndarray:
+        return "Array"
+    if origin is Literal or kind is ...:
+        return ", ".join(map(repr, parts)) or "..."
+    if isinstance(kind, str):
+        return kind
+    if isinstance(kind, list):
+        return f"[{', '.join(map(written, kind))}]"
+    name = "None" if kind is NoneType else getattr(origin or kind, "__name__", str(kind)).lstrip("_")
+    return f"{name}[{', '.join(map(written, parts))}]" if parts else name
 
 
 # What differs in the live page from run to run.

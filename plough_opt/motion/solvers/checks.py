@@ -19,8 +19,6 @@ from plough_opt.motion.solvers import plan
 # A slipping share with a backward speed above this fraction of the fastest speed shows that its stop was missed. A
 # smaller one is due to rounding of the time of the stop.
 _MISSED = 1e-5
-# Change of the mean draft by a broken wave that deserves a warning [%].
-BROKEN_WAVE: Final = 0.5
 # Places in a wavelength at which own resistances are compared with those one wavelength further on.
 _OWN_PLACES = 16
 
@@ -134,12 +132,6 @@ def _runaway(scene: Scene) -> str:
 
 # --- the cause of a failure ---
 
-_DRIVEN = (
-    "steps are too long, the tolerance is tighter than rounding allows, or a resistance drives the share away without"
-    " bound, as under contact 'resisting' the soil does once a share retreats: use contact = StickSlip(), a stiffer"
-    " mount or a shorter duration, and let own effects oppose the motion"
-)
-
 
 def failed_by(scene: Scene, duration: float, accuracy: Accuracy) -> IntegrationError:
     """Return the error that says why an integration failed, as far as the scene tells, and what to do.
@@ -165,7 +157,11 @@ def failed_by(scene: Scene, duration: float, accuracy: Accuracy) -> IntegrationE
             " mount, or a shorter duration"
         )
     else:
-        why = _DRIVEN
+        why = (
+            "steps are too long, the tolerance is tighter than rounding allows, or a resistance drives the share away"
+            " without bound, as under contact 'resisting' the soil does once a share retreats: use contact ="
+            " StickSlip(), a stiffer mount or a shorter duration, and let own effects oppose the motion"
+        )
     return kind(f"the motion of a {scene.describe()} could not be integrated by '{accuracy.method}': {why}")
 
 
@@ -242,10 +238,10 @@ def refuse_missed_event(run: Run) -> None:
 
 def remarks(run: Run) -> tuple[str, ...]:
     """Return the warnings that follow from the outputs of a motion."""
-    return (*retreat(run), *broken_wave(run))
+    return (*_retreat(run), *_broken_wave(run))
 
 
-def broken_wave(run: Run) -> tuple[str, ...]:
+def _broken_wave(run: Run) -> tuple[str, ...]:
     """Return a warning if the mean draft of a transient differs from that over its whole waves."""
     effects, waves = run.scene.effects, run.scene.effects.waves
     if not waves or effects.orbit != "transient" or effects.tow_profile is not None:
@@ -267,18 +263,15 @@ def broken_wave(run: Run) -> tuple[str, ...]:
         return ()
     every = float(force.sum()) - 0.5 * (first + float(force[-1]))
     percent = 100.0 * (every / duration / whole - 1.0)
-    return (broken_wave_in_words(percent, count, count * period),) if abs(percent) > BROKEN_WAVE else ()
-
-
-def broken_wave_in_words(percent: float, count: int, seconds: float) -> str:
-    """Return the warning about a mean draft that differs by some per cent from that over whole waves."""
-    return (
+    words = (
         f"the run ends within a strength wave, which changes its mean draft by {percent:+.2g} %: take the"
-        f' {count} whole waves of {seconds:.4g} s, in a file by average = "whole waves" in [scene]'
+        f' {count} whole waves of {count * period:.4g} s, in a file by average = "whole waves" in [scene]'
     )
+    # A change that deserves a warning [%].
+    return (words,) if abs(percent) > 0.5 else ()
 
 
-def retreat(run: Run) -> tuple[str, ...]:
+def _retreat(run: Run) -> tuple[str, ...]:
     """Return a warning if the share retreats at an output time under a contact law without gaps."""
     contact = run.scene.effects.contact
     slowest = float(np.min(run.speed))
@@ -332,7 +325,12 @@ def relative_difference(
         averages: of the other run.
         opening: largest difference of the opening [m].
     """
-    force, deflection, speed = _scales(run, largest)
+    stiffness, speed = float(run.scene.stiffness), largest[3]
+    # The scales at which the quantities of a motion round.
+    force = max(largest[0], largest[1], stiffness * largest[2])
+    deflection = force / stiffness
+    if run.scene.effects.motion:
+        speed = max(speed, force / math.sqrt(stiffness * float(run.scene.inertia)))
     ours, theirs = ([float(value) for value in vars(one).values()] for one in (run.averages, averages))
     draft, force_rms, mean_deflection, displacement_rms, power = ours
     least, least_z = _SMALLEST * force, _SMALLEST * deflection
@@ -359,13 +357,3 @@ def _arrays(run: Run) -> NDArray[np.float64]:
     rows[0], rows[1], rows[2], rows[3] = run.mount_force, run.soil_resistance, run.deflection, run.speed
     rows[4] = run.travel
     return rows
-
-
-def _scales(run: Run, largest: list[float]) -> tuple[float, float, float]:
-    """Return the scales of force [N], deflection [m] and speed [m/s] at which the quantities of a motion round."""
-    scene = run.scene
-    stiffness = float(scene.stiffness)
-    force = max(largest[0], largest[1], stiffness * largest[2])
-    if not scene.effects.motion:
-        return force, force / stiffness, largest[3]
-    return force, force / stiffness, max(largest[3], force / math.sqrt(stiffness * float(scene.inertia)))

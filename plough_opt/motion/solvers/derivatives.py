@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.compiler import Variant, in_machine_code
+from plough_opt.core.compiler import in_machine_code
 from plough_opt.motion.equation import Equation
 from plough_opt.motion.methods import DOP853
 from plough_opt.motion.solvers.integrators import Integration, integration
@@ -39,8 +39,6 @@ _Symbols = TypeVar("_Symbols", ca.SX, ca.MX)
 # Runs whose derivatives are checked, out of all that were given: as many as take this number of steps together, which
 # is a second, but within these limits. If all runs take more, their steps are compiled, which takes a second, too.
 _MOST_CHECKED_STEPS = 10_000
-# -O2 takes the compiler 1.6 times as long for a step that is a third faster.
-_VARIANTS: tuple[Variant, ...] = ((("-O1",), ("-lm",)),)
 
 
 def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca.Function:
@@ -119,7 +117,7 @@ def _jets_from(
     spans = spans_of(timeline, p[-1], ramp)
     steps, width = spans.shape[1], _width(count, order)
     first, ramp_part = ca.MX.sym("first", 2, width), ca.MX.sym("ramp_part", 1, width)
-    one = (_compiled_jet_step if compiled else _jet_step)(equation, varying, order, spans.shape[0])
+    one = _jet_step(equation, varying, order, spans.shape[0], compiled)
     states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
     averages = pooled(moments, spans, equation.count, count, ramp_part if timeline.moving else None)
     # Rows of w and below them of w', each with a row for each column of the jet.
@@ -196,7 +194,7 @@ def _at_start(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Fu
 
 
 @lru_cache(maxsize=64)
-def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, rows: int) -> ca.Function:
+def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, rows: int, compiled: bool) -> ca.Function:
     """Return one step: (jet of the state, span, parameters) -> (jet of the state after it, jet of the moments).
 
     The derivatives solve the equation of motion expanded at every stage. Differentiating the whole step by CasADi gives
@@ -208,6 +206,7 @@ def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, rows: in
         varying: positions of the parameters to differentiate by.
         order: of the derivatives.
         rows: of the span.
+        compiled: whether to translate it into machine code, some ten times as fast, if there is a compiler.
     """
     count, (span, p, start, size) = len(varying), step_symbols(equation, rows)
     jet = ca.SX.sym("jet", 2, _width(count, order))
@@ -242,15 +241,9 @@ def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, rows: in
     )
     spread = square - _square(mean[: equation.squared, :], count)
     moments = ca.vertcat(ca.reshape(first, mean.shape) + mean, spread)
-    return ca.Function("jet_step", [jet, span, p], [ca.densify(moved(DOP853.weights, rates)), ca.densify(moments)])
-
-
-@lru_cache(maxsize=64)
-def _compiled_jet_step(equation: Equation, varying: tuple[int, ...], order: int, rows: int) -> ca.Function:
-    """Return `_jet_step` in machine code, some ten times as fast; without a compiler as it is."""
-    step = _jet_step(equation, varying, order, rows)
-    (compiled,) = in_machine_code([step], _VARIANTS) or (step,)
-    return compiled
+    step = ca.Function("jet_step", [jet, span, p], [ca.densify(moved(DOP853.weights, rates)), ca.densify(moments)])
+    # -O2 takes the compiler 1.6 times as long for a step that is a third faster.
+    return ((compiled and in_machine_code([step], ((("-O1",), ("-lm",)),))) or [step])[0]
 
 
 def _expanded(equation: Equation, varying: tuple[int, ...], order: int, p: ca.SX) -> ca.Function:

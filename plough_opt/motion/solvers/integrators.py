@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import attach, meaning_of, shared
+from plough_opt.core.checks import attach, shared
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import (
     Column,
@@ -231,12 +231,6 @@ def _labelled(value: Column, scene: Scene) -> Expression:
     if isinstance(carried, ca.MX) and is_symbolic(carried):
         value = ca.MX(value)
     return attach(value, carried, template, key)
-
-
-def embedding_of(function: ca.Function) -> Embedding | None:
-    """Return what a Function in a graph computes if `embed` made it, else None."""
-    meaning = meaning_of(function)
-    return meaning if isinstance(meaning, Embedding) else None
 
 
 def _carried(scene: Scene) -> tuple[Scene, Column, Hashable]:

@@ -121,21 +121,6 @@ def test_frames_hold_the_numbers_with_their_units():
     np.testing.assert_array_equal(fit().to_dataframe()["observed"], fit().observed)
 
 
-def test_designs_in_python_keep_their_declarations(tmp_path):
-    origin = po.load(optimum().save(tmp_path / "best.json")).origin
-    declared = origin.declarations
-    assert [declared["height"][key] for key in ("kind", "lower", "upper", "unit")] == ["variable", 0.1, 0.5, "m"]
-    assert declared["half height"]["at_least"] == 0.04
-    assert "height" in declared["objective"]["expression"]
-    assert origin.seed == 0
-    declared = po.load(front().save(tmp_path / "front.json")).origin.declarations
-    kinds = {"x": "variable", "k": "parameter", "sum": "requirement", "draft": "objective", "radius": "objective"}
-    assert {name: own["kind"] for name, own in declared.items()} == kinds
-    assert declared["k"]["value"] == 1.0
-    assert declared["radius"]["aim"] == "maximise"
-    assert "x [mm]" in str(front())
-
-
 def denser(r, width):
     return 1350.0 * (1.05 + 0.3 * exp(-((r / width) ** 2)))
 

@@ -268,7 +268,7 @@ INVALID = [
     ({}, {"inputs": ["effects.damping"]}, "the scene has no 'effects.damping'"),
     ({}, {"inputs": ["scene.frame_mass"]}, "needs a steel_density"),
     ({}, {"inputs": ["scene.stiffness", "scene.stiffness"]}, "twice"),
-    ({"own": (Shank(per_metre=-1e8),)}, {}, "the motion has no finite value at scene.stiffness = 50000 N/m"),
+    ({"own": (Shank(per_metre=-1e8),)}, {}, "at scene.stiffness = 50000 N/m: the motion of a share"),
     ({"height": FREE}, {"inputs": [HEIGHT], "steel_density": 7850.0}, "needs a numeric scene"),
     ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
     ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' has no fixed steps, as a component needs"),

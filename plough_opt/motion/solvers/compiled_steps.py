@@ -320,7 +320,7 @@ class ManyRuns:
         results = []
         for count in np.unique(steps):
             alike = np.flatnonzero(steps == count)
-            timeline = Timeline(outputs or 1, int(count))
+            timeline = Timeline(outputs or 1, int(count), moving=self._structure.ramp)
             run = run_from(self._equation, timeline).map(len(alike))
             states, *averages = (np.asarray(part).T for part in run(first[alike].T, p[alike].T))
             read = states.reshape(len(alike), -1) if outputs else np.empty((len(alike), 0))

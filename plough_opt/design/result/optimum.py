@@ -241,8 +241,8 @@ class LocalOptimum(Saveable):
             >>> best.local_optima[0].display("height").text(0.12)
             '120 mm'
         """
-        own = (one.shown for one in self.limits if one.kind == "bound" and one.name == name)
-        return next(own, Display("", 1.0))
+        bounds = {limit.name: limit.shown for limit in self.limits if limit.kind == "bound"}
+        return bounds.get(name, Display("", 1.0))
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a table with a row for each variable and requirement in SI; ``attrs["units"]`` has the units by name.
@@ -373,9 +373,9 @@ class Optimum(LocalOptimum):
             parts += self.bought.comparison(self)
         if len(self.local_optima) > 1:
             parts.append(self.optima_table("Local optima found"))
-        parts += [self._free(direction) for direction in self.flat_directions]
-        parts += [] if self.spread is None else [self.spread.in_words()]
-        parts += [] if self.search is None else [str(self.search)]
+        parts += map(self._free, self.flat_directions)
+        parts += [self.spread.in_words()] if self.spread else []
+        parts += [str(self.search)] if self.search else []
         trust = (
             f"gap of the objective to a tight integration {self.gap:.0e}, error estimate {self.error_estimate:.0e};"
             f" {self.seconds:.2f} s"
@@ -395,9 +395,9 @@ class Optimum(LocalOptimum):
         """
         if self.spread is None:
             return None
-        lost = ((one.multiplier, one.margin - self.spread.margins[one.name]) for one in self.limits
-                if one.kind == "requirement")  # fmt: skip
-        return self.spread.worst - self.objective + sum(price * max(0.0, loss) for price, loss in lost)
+        least, required = self.spread.margins, [limit for limit in self.limits if limit.kind == "requirement"]
+        price = sum(limit.multiplier * max(0.0, limit.margin - least[limit.name]) for limit in required)
+        return self.spread.worst - self.objective + price
 
     def keeping(self) -> str:
         """Return a sentence on requirements that few designs as made meet, without its full stop, or "".
@@ -432,19 +432,18 @@ class Optimum(LocalOptimum):
             >>> design.solve(search="near").optima_table("Optima").rows
             [('optimum', '0.01', '0.0101208', '100 mm')]
         """
-        judged = [] if self.spread is None else ["as made"]
-        grid = Grid.of(title, "", "objective", *judged, *self.variables)
-        for one in self.local_optima:
-            made = [] if one.spread is None else [f"{one.spread.median:.6g}"]
-            cells = (self.display(name).result(value) for name, value in one.variables.items())
-            grid.row(one.name, f"{one.objective:.{OBJECTIVE_DIGITS}g}", *made, *cells)
+        grid = Grid.of(title, "", "objective", *(["as made"] if self.spread else []), *self.variables)
+        for own in self.local_optima:
+            made = [f"{own.spread.median:.6g}"] if own.spread else []
+            cells = (self.display(name).result(value) for name, value in own.variables.items())
+            grid.row(own.name, f"{own.objective:.{OBJECTIVE_DIGITS}g}", *made, *cells)
         return grid
 
     def _free(self, direction: Mapping[str, float]) -> str:
         """Return a sentence about a flat direction."""
-        changed = {name: change for name, change in direction.items() if change}
-        moves = (f"{name} {'+' if x > 0 else '-'}{self.display(name).text(abs(x), 3)}" for name, x in changed.items())
-        fix = "this variable" if len(changed) == 1 else "one of these variables"
+        changed = ((name, "+" if x > 0 else "-", abs(x)) for name, x in direction.items() if x)
+        moves = [f"{name} {sign}{self.display(name).text(size, 3)}" for name, sign, size in changed]
+        fix = "this variable" if len(moves) == 1 else "one of these variables"
         return f"The optimum is not unique: nothing changes along {', '.join(moves)}. Fix {fix}."
 
     def to_dataframe(self) -> pandas.DataFrame:
@@ -464,15 +463,12 @@ class Optimum(LocalOptimum):
             >>> design.solve(search="near").to_dataframe().columns.tolist()
             ['optimum', 'objective', 'height']
         """
-        bought = () if self.bought is None else (replace(self.bought, name="from the catalogue"),)
-        found: tuple[LocalOptimum, ...] = (*(self.local_optima or (self,)), *bought)
-        columns: dict[str, Any] = {
-            "optimum": [one.name for one in found],
-            "objective": [one.objective for one in found],
-        }
+        rows: list[LocalOptimum] = [*(self.local_optima or (self,))]
+        rows += [] if self.bought is None else [replace(self.bought, name="from the catalogue")]
+        columns: dict[str, Any] = {"optimum": [own.name for own in rows], "objective": [own.objective for own in rows]}
         column = {name: f"variable {name}" if name in columns else name for name in self.variables}
-        columns |= {column[name]: [one.variables[name] for one in found] for name in self.variables}
-        return data_frame(columns, {column[one.name]: one.unit for one in self.limits if one.kind == "bound"})
+        columns |= {column[name]: [own.variables[name] for own in rows] for name in self.variables}
+        return data_frame(columns, {column[limit.name]: limit.unit for limit in self.limits if limit.kind == "bound"})
 
     def also_saved(self) -> dict[str, Any]:
         """Return the best design alone, as further content of a saved file."""

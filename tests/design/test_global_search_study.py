@@ -17,7 +17,7 @@ from helpers.three_modes import follow
 from independent import study, truth
 from independent.build import as_design, verdict_on
 from independent.motion import AVERAGES, simulate
-from independent.problem import evaluate, objectives_of, sample, sign_of
+from independent.problem import box_sample, evaluate, measure, objectives_of, sample, sign_of
 
 import plough_opt as po
 
@@ -37,8 +37,12 @@ KNOWN = {kind: {k: own for k, own in study.problems(kind).items() if own[1]} for
 
 # By default each problem is solved with one of these seeds, by its number; the slow tests solve all problems with all.
 SEEDS = range(5)
-# Number and seed of cases that docs/explanation/search.md reports as wrong.
-MISSED = {("search", 199, 2), ("search", 199, 3)}
+# Number and seed of cases that docs/explanation/search.md reports as wrong: optima, parts of fronts, bends.
+# Rounding decides with which seeds curve 34 lacks a part.
+MISSED = {
+    ("search", 199, 2), ("search", 199, 3), *(("front", 34, seed) for seed in range(5)), ("front", 35, 3),
+    ("surface", 8, 4), ("surface", 18, 1),
+}  # fmt: skip
 
 
 def _blocks():
@@ -79,18 +83,25 @@ def test_a_truth_is_found_again(kind, number):
 
 PROBLEMS = study.problems("catalogue")
 # One that takes a second; the rest take half a minute.
-QUICK = 6
+QUICK = (6,)
 
 
-def _cases():
-    """Return the catalogues with all seeds; all are slow but a quick one with the seed of its number."""
-    for number in PROBLEMS:
-        for seed in SEEDS:
-            quick = number == QUICK and seed == seed_of(number)
-            yield pytest.param(number, seed, marks=[] if quick else [pytest.mark.slow])
+def _cases(numbers, quick, kind=()):
+    """Return problems with all seeds, of which the quick ones with the seed of their number are not slow."""
+    return [
+        pytest.param(
+            *kind,
+            number,
+            seed,
+            marks=[] if number in quick and seed == seed_of(number) else [pytest.mark.slow],
+            id=f"{' '.join((*kind, str(number)))} seed {seed}",
+        )
+        for number in numbers
+        for seed in SEEDS
+    ]
 
 
-@pytest.mark.parametrize(("number", "seed"), [*_cases()])
+@pytest.mark.parametrize(("number", "seed"), _cases(PROBLEMS, QUICK))
 def test_no_combination_of_the_catalogue_is_better(number, seed):
     problem, truth, offered = PROBLEMS[number]
     best = as_design(problem)[0].solve(search="near", seed=seed)
@@ -113,10 +124,14 @@ def test_the_best_combination_of_a_catalogue_is_found_again():
 # --- fronts of two objectives and of three, by brute force --------------------------------------------------
 
 
-# The straight lines between neighbouring points deviate from the curve by at most this fraction of a range.
+# The straight lines between neighbouring points deviate from the curve by at most this fraction of a range, but on some
+# curves, where they cut a bend, or the corner where a branch begins (9, 28), between two of 40 points.
 BESIDE = 2e-3
-# Least part of the curves, and of the surfaces, that are whole with each seed.
-WHOLE = {"front": 0.95, "surface": 0.9}
+BESIDE_A_BEND = {9: 7.2e-3, 14: 2.2e-3, 18: 5.0e-3, 24: 2.9e-3, 28: 8.7e-3, 29: 2.1e-3, 30: 2.3e-3}
+# One that takes little time. In one of 5 and 6 a dip of the force is a part of the front by itself; among the slow ones
+# part of 22 is found by predictions of second order only, and part of 8 by crossing branches only.
+FRONTS_BY_DEFAULT = {"front": (5,), "surface": ()}
+FRONTS = {(kind, number): case for kind in FRONTS_BY_DEFAULT for number, case in study.problems(kind).items()}
 
 
 def drawn(front):
@@ -128,32 +143,28 @@ def drawn(front):
     return np.vstack(rows)
 
 
-def front_of(kind, number, seed):
-    """Return a front, and its verdict."""
-    problem, truth = study.problems(kind)[number]
+@pytest.mark.parametrize(
+    ("kind", "number", "seed"),
+    [case for kind, quick in FRONTS_BY_DEFAULT.items() for case in _cases(study.problems(kind), quick, (kind,))],
+)
+def test_the_whole_front_is_found(kind, number, seed):
+    problem, truth = FRONTS[kind, number]
     design, run, geometry = as_design(problem)
     goals = [
         po.Goal(name, geometry[name] if name in geometry else getattr(run, name), maximise=sign_of(name) < 0.0)
         for name in truth["names"]
     ]
     front = po.trade_off(design, *goals, points=study.POINTS[len(goals)], seed=seed)
+    verdict, beside = study.judge_front(problem, truth, front), 0.0
     assert np.all(np.isfinite(front.objectives))
-    return front, study.judge_front(problem, truth, front), np.array(truth["objectives"])
-
-
-def test_the_whole_front_is_found():
-    front, verdict, wanted = front_of("front", 5, seed_of(5))
-    assert verdict.right, verdict
-    behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)
-    assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shift", SEEDS)
-@pytest.mark.parametrize("kind", WHOLE)
-def test_most_fronts_are_whole(kind, shift):
-    verdicts = {number: front_of(kind, number, seed_of(number, shift))[1] for number in study.problems(kind)}
-    assert np.mean([verdict.right for verdict in verdicts.values()]) >= WHOLE[kind], verdicts
+    if len(goals) == 2:
+        wanted = np.array(truth["objectives"])
+        behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)
+        beside = np.max(np.min(np.max(behind, axis=2), axis=0))
+    whole = verdict.right and beside <= BESIDE_A_BEND.get(number, BESIDE)
+    if not whole and (kind, number, seed) in MISSED:
+        pytest.xfail(str(verdict))
+    assert whole, (verdict, beside, front.failures)
 
 
 @pytest.mark.slow
@@ -170,7 +181,28 @@ def test_a_point_of_a_front_is_the_optimum_that_its_other_objectives_leave(kind,
 # --- conflicts that exist, and conflicts that do not ----------------------------------------------------------
 
 
-FREE_MASS = study.problems("reproduction")[6][0]
+# A design of the sample may be better by this fraction of a range.
+BEATEN = 1e-3
+NEEDLE = 0.05
+HARDPAN, FREE_MASS = (study.problems("reproduction")[number][0] for number in (0, 6))
+
+
+@pytest.mark.slow
+def test_objectives_do_not_conflict_if_only_needles_do():
+    design, run, _ = as_design(HARDPAN)
+    front = po.trade_off(design, po.Goal("deflection", run.mean_deflection), po.Goal("force", run.force_rms))
+    best = np.array(front.points[0].objectives)
+    assert len(front.points) == 1
+    assert front.notes[0] == "'deflection' and 'force' do not conflict: one design is best in both"
+    y = sample(HARDPAN, 15, np.random.default_rng(0))
+    y = np.vstack([y, HARDPAN.positions([[0.6545926, 0.1692840, 20000.0]])])
+    found = objectives_of(HARDPAN, ("mean_deflection", "force_rms"), y)
+    assert np.all(found[:, 0] >= best[0] * (1.0 - BEATEN))
+    less = np.flatnonzero(found[:, 1] < best[1] * (1.0 - BEATEN))
+    assert len(less) > 0
+    for k in less:
+        box = measure(HARDPAN, box_sample(HARDPAN, y[k], 64), 1.6)["force_rms"]
+        assert np.median(box) > found[k, 1] * (1.0 + NEEDLE)
 
 
 @pytest.mark.slow

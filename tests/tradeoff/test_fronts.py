@@ -1,4 +1,4 @@
-"""Fronts of known shape, of a ridge; surfaces of three objectives; as JSON, tables and pictures."""
+"""Fronts of known shape, of a ridge, beside needles; surfaces of three objectives; as JSON, tables and pictures."""
 
 import csv
 import io
@@ -23,7 +23,7 @@ from plough_opt.design.model import program as program_module
 from plough_opt.problem_file.sweep import SimulationOfMany
 from plough_opt.studies.tradeoff.front import MissingPoint, distances, undominated, volume
 
-# --- fronts of known shape, of a ridge, and of objectives that hardly conflict ---
+# --- fronts of known shape, of a ridge, of objectives that hardly conflict, and of designs beside needles ---
 
 # Ends of the five parts of ZDT3, where the next minimum or the next level begins (Zitzler, Deb and Thiele 2000).
 ZDT3 = [(0.0, 0.0830015349), (0.1822287280, 0.2577623634), (0.4093136748, 0.4538821041), (0.6183967944, 0.6525117038),
@@ -263,6 +263,7 @@ def test_the_picture_has_no_offset_and_ticks_that_do_not_touch(small):
 
 THREE = "'first objective', 'second objective' and 'third objective' do not conflict: one design is best in all three"
 BOTH = "'first objective' and 'second objective' do not conflict: one design is best in both"
+# An objective that is 0 at its best changes by more than 5 % at every other design, which would all be needles.
 CONFLICTS = {
     "none": (lambda x, y: (x**2 + y**2, 2.0 * (x**2 + y**2) + 3.0), [0.0, 0.0], BOTH),
     "less than the optimiser's tolerance":
@@ -312,6 +313,40 @@ def test_parts_on_either_side_of_the_ridge_are_certified():
     found = [[answer.results[name] for name in ("mean_deflection", "force_rms")] for answer in answers]
     # Another method of integration, to the error that it promises.
     assert found == pytest.approx(front.objectives, rel=1e-6)
+
+
+# Depth and width of a dip in the second objective. The tolerance, 0.3 % of a range of 1, is 1.5 times the width.
+DEPTH, WIDTH = 0.5, 0.002
+
+
+# The search around needles takes a minute.
+@pytest.fixture(scope="module")
+def front():
+    """Front of x against 2 - x, with lower values in a dip along z that is too narrow to hit."""
+    d, x, z = design(x=(0.4, 0.0, 1.0), z=(0.47, 0.0, 1.0))
+    dip = DEPTH * ca.exp(-(((z - 0.5) / WIDTH) ** 2))
+    return po.trade_off(d, po.Goal("a", x), po.Goal("b", 2.0 - x - dip), points=9)
+
+
+@pytest.mark.slow
+def test_designs_at_the_edge_of_a_needle_are_part_of_the_front_and_marked(front):
+    assert len(front.needles) > 2
+    for needle in front.needles:
+        # A design is better than 2 - x only in the dip.
+        assert abs(needle.variables["z"] - 0.5) < 3.0 * WIDTH
+    edge = [point for point in front.points if not point.confirmed]
+    assert len(edge) > 2
+    for point in edge:
+        x, z = point.variables["x"], point.variables["z"]
+        assert not point.needle
+        assert point.rate is None
+        assert point.doubt == ""
+        # Objectives are those of a simulation, to rounding.
+        assert point.objectives == pytest.approx((x, 2.0 - x - DEPTH * np.exp(-(((z - 0.5) / WIDTH) ** 2))), rel=1e-12)
+        # 5 % of a value of at most 2 is the limit for a needle.
+        assert point.medians[1] - point.objectives[1] <= 0.05 * 2.0
+    assert any(f"{len(edge)} of {len(front.points)} designs are unconfirmed" in note for note in front.notes)
+    assert not any("are needles" in note and note.startswith(f"{len(front.points)} of") for note in front.notes)
 
 
 # --- files and pictures -------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from plough_opt.core.saving import Origin, Saveable, versions
 from plough_opt.core.tables import Column, Grid, Page, data_frame, write_table
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.tradeoff.front import Axis, FrontPoint, Hole, MissingPoint, knee, volume
+from plough_opt.studies.tradeoff.front import ACROSS, Axis, FrontPoint, Hole, MissingPoint, knee, volume
 
 if TYPE_CHECKING:
     import pandas
@@ -39,13 +39,14 @@ class TradeOff(Saveable):
         title: title of the design question.
         goals: the objectives.
         variables: the design's variables.
-        points: certified designs that no other design that was tried dominates.
+        points: designs that no other design found dominates: certified optima, and designs marked as unconfirmed.
         dominated: certified local optima that some design beats in all objectives.
         failures: positions without a certified design, and the reasons.
         parts: numbers of the points in each connected part.
         holes: interruptions between the parts.
         notes: sentences that a reader of the numbers must know.
         search: a sentence on what was searched.
+        needles: certified local optima that no workshop can hit; they are not part of the front.
         seconds: time taken [s].
         building: part of `seconds` spent on building the program; small if it was built before.
         versions: versions of packages, and the machine.
@@ -74,6 +75,7 @@ class TradeOff(Saveable):
     holes: tuple[Hole, ...]
     notes: tuple[str, ...] = ()
     search: str = ""
+    needles: tuple[FrontPoint, ...] = ()
     seconds: float = 0.0
     building: float = 0.0
     versions: Mapping[str, str] = field(default_factory=versions)
@@ -318,10 +320,11 @@ class TradeOff(Saveable):
             failures.setdefault(reason, []).append(listed(self.cells(failure.objectives)))
         parts += [f"No certified design near {'; '.join(places)}: {reason}." for reason, places in failures.items()]
         gap = max(point.gap for point in self.points)
-        residual = max(point.residual for point in self.points)
+        residual = max((point.residual for point in self.points if point.confirmed), default=0.0)
         footer = (
-            f"{len(self.dominated)} further local optima are dominated; first-order conditions met to {residual:.0e},"
-            f" gap to a tight integration {gap:.0e}; {self.seconds:.1f} s, {self.building:.1f} s of them for building"
+            f"{len(self.dominated)} further local optima are dominated, {len(self.needles)} are needles; first-order"
+            f" conditions met to {residual:.0e}, gap to a tight integration {gap:.0e}; {self.seconds:.1f} s,"
+            f" {self.building:.1f} s of them for building"
         )
         names = ", ".join(called(goal.name) for goal in self.goals)
         return Page(f"Front of {len(self.points)} designs: {names}", tuple(parts), self.notes, footer, self.title)
@@ -400,7 +403,8 @@ class TradeOff(Saveable):
         table: list[list[object]] = [
             ["status", "part", *columns, *rates, *limits, "active", "branch", "residual", "gap"]
         ]
-        shown = (("front", str(part), point) for part, point in zip(self.part_of, self.points, strict=True))
+        shown = [("front" if point.confirmed else "unconfirmed", str(part), point)
+                 for part, point in zip(self.part_of, self.points, strict=True)]  # fmt: skip
         for status, part, point in (*shown, *(("dominated", "", point) for point in self.dominated)):
             numbers = (*point.objectives, *(point.variables[v.name] for v in self.variables))
             slopes = (point.rate_of(*pair) for pair in self.pairs)
@@ -438,6 +442,7 @@ def _table(front: TradeOff, everywhere: Sequence[str]) -> Grid:
     numbers = [[str(k) for k, name in enumerate(limits, start=1) if name in point.active] for point in front.points]
     optional = (
         (Column("branch", left=True, fold=True), [point.branch for point in front.points]),
+        (Column("status", left=True, fold=True), ["" if p.confirmed else "unconfirmed" for p in front.points]),
         (Column("limits", left=True), [*map(" ".join, numbers)]),
     )
     headings, cells = zip(*columns, *(column for column in optional if any(column[1])), strict=True)
@@ -464,8 +469,6 @@ _LEAST_CHANGE: Final = 0.01
 _TICKS: Final = 6
 # Relative range of a variable along the front below which it is constant except for the optimiser's rounding.
 _UNCHANGED: Final = 1e-4
-# Two orthonormal directions across (1, 1, 1), as columns.
-_ACROSS: Final = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
 # Triangles with a side longer than this many times the median lie across a hole.
 _LONGEST_SIDE: Final = 3.0
 # Direction of view in space [deg]: above the plane of the first two objectives, and aside from their diagonal.
@@ -530,6 +533,8 @@ def draw_front(axes: Axes, front: TradeOff) -> None:
             axes.plot_trisurf(*of_part.T, triangles=corners, **face)  # type: ignore[attr-defined]
         label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"
         axes.plot(*of_part.T, "o-" if flat else "o", color=colour, markersize=4, linewidth=1.3, zorder=4, label=label)
+    if len(unconfirmed := places[[not point.confirmed for point in front.points]]):
+        axes.plot(*unconfirmed.T, "o", color="white", markersize=3, zorder=9, label="unconfirmed")
     if flat:
         _finish_curve(axes, front, places)
     else:
@@ -611,7 +616,7 @@ def _triangles(places: Array) -> list[np.ndarray]:
     from matplotlib.tri import Triangulation
 
     low, span = places.min(axis=0), np.ptp(places, axis=0)
-    flat = (places - low) / np.where(span > 0.0, span, 1.0) @ _ACROSS
+    flat = (places - low) / np.where(span > 0.0, span, 1.0) @ ACROSS
     if np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-6) < 2:
         return []
     corners = Triangulation(*flat.T).triangles

@@ -4,6 +4,7 @@ import csv
 import importlib.metadata
 import inspect
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -29,6 +30,20 @@ def test_files_are_about_one_story():
     for path in SOURCES:
         lines = path.read_text(encoding="utf-8").splitlines()
         assert len([line for line in lines if not line.lstrip().startswith((">>> ", "... "))]) <= 700, path
+
+
+BUDGET = tomllib.loads((ROOT / "tests" / "budget.toml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("folder", ["plough_opt", "tests"])
+def test_rooms_keep_to_the_budget_of_lines(folder):
+    # To raise a number, lower another one in the same commit.
+    counted = runpy.run_path(str(ROOT / ".ci" / "lines.py"))
+    lines = counted["rooms"](ROOT / folder)
+    assert {room: count for room, count in lines.items() if count > BUDGET[folder].get(room, 0)} == {}
+    assert {room for room in BUDGET[folder] if room not in lines} == set()
+    pieces = counted["pieces"](ROOT / folder)
+    assert {name: pieces[name] for name, most in BUDGET["pieces"][folder].items() if pieces[name] > most} == {}
 
 
 def test_the_list_of_thinned_tests_names_tests():

@@ -221,7 +221,7 @@ def test_a_share_that_is_driven_away_from_the_start():
     run = po.simulate(scene_of(orbit="periodic", **given))
     assert (run.settles.orbit, run.settles.period, run.settles.force_rms) == (False, None, np.inf)
     assert any("equilibrium is driven away without bound" in text for text in run.warnings)
-    with pytest.raises(po.IntegrationError, match="without bound in finite time"):
+    with pytest.raises(po.IntegrationError, match="drives the share away without bound"):
         po.simulate(scene_of(**given), run.duration)
 
 

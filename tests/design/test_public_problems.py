@@ -21,7 +21,7 @@ import plough_opt as po
 
 SUITES = tomllib.loads(Path(__file__).with_name("public_problems.toml").read_text(encoding="utf-8"))
 PROBLEMS = {name: problem for suite in SUITES.values() for name, problem in suite.items()}
-# Of 174; what is missed has many narrow minima, more than ten variables, or a flat stationary point.
+# Of 174; what is missed has many narrow minima, or several equalities that leave few designs.
 LEAST_RIGHT = 154
 # Relative to the objective, or to 1 where it is smaller.
 RIGHT = 1e-4
